@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Iterable, List, Optional, Union
+from typing import Any, Dict, FrozenSet, Iterable, List, Union
 
 from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -63,8 +63,8 @@ class GraphBar(QWidget):
     #: They have changed so much that the old layout has no meaning.
     structure_changed = Signal()
 
-    def __init__(self, parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.collapsed: FrozenSet[Group] = frozenset()
         self.tools = QToolBar()
         self.tools.setToolButtonStyle(Qt.ToolButtonTextUnderIcon)

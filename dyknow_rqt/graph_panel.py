@@ -52,10 +52,8 @@ class GraphPanel(QWidget):
     #: The error no longer holds.
     mended = Signal(str)
 
-    def __init__(
-        self, monitor: GraphMonitor, selection: Selection, parent: Optional[QWidget] = None
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, monitor: GraphMonitor, selection: Selection) -> None:
+        super().__init__()
         self._monitor, self._selection = monitor, selection
         self._is_following = False
         self._figure = Figure()

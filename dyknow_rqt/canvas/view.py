@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, Iterable, Optional, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QTransform
-from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView, QWidget
+from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import qt_slot
@@ -70,8 +70,8 @@ class GraphView(QGraphicsView):
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
     menu_wanted = Signal(object, QPoint)
 
-    def __init__(self, report: Callable[[str], None], parent: Optional[QWidget] = None) -> None:
-        super().__init__(parent)
+    def __init__(self, report: Callable[[str], None]) -> None:
+        super().__init__()
         self.report = report
         self.setScene(GraphScene(self.palette(), self.font(), report, self))
         self.setRenderHint(QPainter.Antialiasing)

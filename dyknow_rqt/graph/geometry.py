@@ -155,13 +155,12 @@ def boxes_around(
     centres: Mapping[str, Point],
     sizes: Mapping[str, Size],
     is_turned: bool = False,
-    margin: float = 8.0,
-    title: float = 20.0,
 ) -> Dict[Tuple[str, ...], Rectangle]:
     """Draw boxes around the vertices of namespaces; above the contents is a line for the title.
 
     ``is_turned`` says that x and y are swapped.
     """
+    margin, title = 8.0, 20.0
     found: Dict[Tuple[str, ...], Rectangle] = {}
 
     def include(group: Tuple[str, ...], part: Rectangle) -> None:

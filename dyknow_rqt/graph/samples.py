@@ -97,7 +97,7 @@ def _lines(value: Any, indent: str) -> Iterator[str]:
         if isinstance(part, (list, tuple)) and part and _fields(part[0]) and not _is_time(part[0]):
             yield f"{indent}{name}: {len(part)} of them"
             for each in part[:_MOST_ELEMENTS]:
-                first, *rest = _lines(each, "") or [""]
+                first, *rest = _lines(each, "")
                 yield f"{indent}- {first}"
                 yield from (f"{indent}  {line}" for line in rest)
         elif _fields(part) and not _is_time(part):
