@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Collection, Iterable, Iterator, Sequence
 
 from dyknow.cli.arguments import argument, flag
@@ -157,9 +158,14 @@ class _Waiting:
 
 
 def _plan(arguments: argparse.Namespace, wiring: Wiring, client: ShellClient) -> LoadPlan:
+    model = client.get_model()
+    if arguments.wait and arguments.dry_run:  # as at the manager's start, if its files have others
+        own = {each.label: each for each in model.transformations}
+        mixed = tuple(own.get(each.label, each) for each in wiring.transformations)
+        wiring = replace(wiring, transformations=mixed)
     plan = plan_load(
         wiring,
-        client.get_model(),
+        model,
         client.places(),
         client.is_own_manager,
         arguments.replace,

@@ -27,14 +27,18 @@ from dyknow.wiring.wiring import Wiring, wiring_of
 IMAGE = "sensor_msgs/Image"
 
 
+def spawn_chain(client):
+    client.world.spawn("camera", "cam", config={"image": "raw"})
+    client.world.spawn("relay", "/robot/relay", config={"in": "/raw"}, is_protected=True)
+    client.world.spawn("native", "n", config={"image": "/raw", "~out": "small"}, isolated=True)
+
+
 @pytest.fixture(name="file")
 def _file(tmp_path, monkeypatch):
     """A saved chain, w.xml: camera, relay, and a C++ nodelet; its folder is the present one."""
     monkeypatch.chdir(tmp_path)
     client = FakeClient(World())
-    client.world.spawn("camera", "cam", config={"image": "raw"})
-    client.world.spawn("relay", "/robot/relay", config={"in": "/raw"}, is_protected=True)
-    client.world.spawn("native", "n", config={"image": "/raw", "~out": "small"}, isolated=True)
+    spawn_chain(client)
     assert run(client, "save w.xml").code == 0
     return tmp_path / "w.xml"
 
@@ -516,6 +520,14 @@ def test_a_wait_has_a_limit_and_names_what_is_missing(file):
     client.alter("/cam", state=State.FAILED, detail="no device")
     done = run(client, "load w.xml --wait --within 0.000001")
     assert (done.code, done.err) == (1, "dyknow: nodelet '/cam' is failed: no device\n")
+
+
+@pytest.mark.usefixtures("file")
+def test_a_wait_that_loads_nothing_takes_the_transformations_of_the_library(client):
+    give_the_library_another_camera(client)
+    spawn_chain(client)
+    assert run(client, "load w.xml --wait --within 0.000001 --dry-run").code == 0
+    assert run(client, "load w.xml --dry-run").code == 1
 
 
 def test_a_wait_is_for_the_claims_that_use_the_wiring():
