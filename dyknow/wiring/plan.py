@@ -220,10 +220,9 @@ def _is_remade(
         return False
     blueprint = plan.blueprints[nodelet.label]
     is_isolated = nodelet.isolated or (blueprint.isolated and not nodelet.manager)
-    if present.isolated != is_isolated and not present.kind.is_node:
+    if is_isolated and not (present.isolated or present.kind.is_node):
         plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, {'' if present.isolated else 'not '}"
-            "isolated; expected the contrary"
+            f"nodelet '{nodelet.name}' runs already, not isolated; expected the contrary"
         )
         return False
     is_replaced = nodelet.label in (each.label for each in plan.replaced) and not blueprint.node

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import os
 from typing import Any
@@ -156,6 +157,18 @@ def test_what_runs_is_brought_to_what_the_file_says(client, file):
     assert client.get_graph().nodelet("/robot/relay").is_protected
     assert topics(client, "/robot/relay") == {"in": "/raw", "out": ""}
     assert client.get_graph().nodelet("/other") is not None
+
+
+@pytest.mark.usefixtures("file")
+def test_a_nodelet_that_was_isolated_since_it_crashed_is_kept(client):
+    assert run(client, "load w.xml").code == 0
+    records = client.world.manager.graph
+    records.put(dataclasses.replace(records.get("/cam"), isolated=True))
+    for options in ("", "--replace"):
+        assert "/cam" in run(client, f"load w.xml {options} --json").json["nodelets"]["kept"]
+    records.put(dataclasses.replace(records.get("/n"), isolated=False))
+    outcome = run(client, "load w.xml")
+    assert (outcome.code, "'/n' runs already, not isolated" in outcome.err) == (1, True)
 
 
 def two_managers(client, file):
