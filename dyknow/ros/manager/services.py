@@ -181,6 +181,7 @@ class ManagerServices:
                 response = handler(request)
             finally:
                 self._after_change()
+                self._publish()
         except DyKnowError as error:
             rospy.logwarn("%s for %s: refused: %s", what, caller, for_log(error))
             raise
@@ -241,7 +242,6 @@ class ManagerServices:
     def _restart(self, request: Any) -> Any:
         self._check_sizes(request.name)
         done = self._manager.restart(request.name)
-        self._publish()
         return srv.RestartResponse(True, done.remarks, list(done.names))
 
     def _set_parameter(self, request: Any) -> Any:
@@ -255,7 +255,6 @@ class ManagerServices:
         texts = [text for name, pairs in moves for entry in ((name,), *pairs) for text in entry]
         self._check_sizes(*texts, entries=max([len(moves), *(len(p) for _, p in moves)]))
         self._manager.connect([(name, _mapping(name, pairs)) for name, pairs in moves])
-        self._publish()
 
     def _list_hosts(self, request: Any) -> Any:
         return srv.ListHostsResponse([host_message(each) for each in self._manager.hosts()])
