@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sys
 from typing import NoReturn, Sequence
 
@@ -89,6 +90,8 @@ def become(command: Sequence[str]) -> NoReturn:
         print(f"rewirable: '{command[0]}' runs as it is: {trouble}", file=sys.stderr, flush=True)
     else:
         _preload(library, environment)
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):
+        signal.signal(number, signal.SIG_DFL)  # Python ignores them, and exec would keep that
     try:
         os.execve(program, list(command), environment)
     except OSError as error:

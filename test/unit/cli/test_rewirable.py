@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -39,6 +40,12 @@ def test_a_program_gets_the_library_before_others(tmp_path):
     other = tmp_path / "other.so"
     answer = run(sys.executable, "-c", SHOW, preloaded=str(other), tmp_path=tmp_path)
     assert f"{library}:{other} []\n" in answer
+
+
+def test_a_program_ignores_no_signal_that_python_ignores(tmp_path):
+    answer = run("sh", "-c", "grep SigIgn /proc/self/status", tmp_path=tmp_path)
+    ignored = int(answer.split()[-1], 16)
+    assert not ignored & (1 << signal.SIGPIPE - 1 | 1 << signal.SIGXFSZ - 1)
 
 
 def test_a_folder_with_a_space(tmp_path):
