@@ -65,7 +65,7 @@ DEMAND = (
 )
 
 
-def request_of(arguments: argparse.Namespace, lease: float = 0.0) -> StreamRequest:
+def request_of(arguments: argparse.Namespace) -> StreamRequest:
     """Make the request from the arguments; the client is this process."""
     fields = {each.name: getattr(arguments, each.name, None) for each in _FIELDS}
     given: dict[str, Any] = {
@@ -74,10 +74,10 @@ def request_of(arguments: argparse.Namespace, lease: float = 0.0) -> StreamReque
         if value or name == "tag"
     }
     client = f"dyknow acquire on {socket.gethostname()} ({os.getpid()})"
-    return StreamRequest(**{**given, "client_id": client, "lease": lease})
+    return StreamRequest(**{**given, "client_id": client, "lease": _LEASE})
 
 
-#: Seconds that a claim outlives a command that was killed.
+#: Seconds that a claim outlives a command that was killed, or interrupted before the answer.
 _LEASE = 10.0
 _RENEWAL = 3.0
 #: Seconds before the next question to a manager that did not answer.
@@ -107,11 +107,11 @@ _RETRY = 1.0
 )
 def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.lease is not None:
-        claim, answer = _ask(arguments, shell, arguments.lease)
+        claim, answer = _ask(arguments, shell)
         shell.show(_acquired_json(claim, answer), _describe(claim, answer))
         return None
     events = shell.client.stream_events()  # before the claim is made: no event is missed
-    claim, answer = _ask(arguments, shell, _LEASE)
+    claim, answer = _ask(arguments, shell)
     try:
         lines = [*_describe(claim, answer), "held until Ctrl-C"]
         shell.show(_acquired_json(claim, answer), lines, indent=None)
@@ -126,13 +126,11 @@ def _acquire(arguments: argparse.Namespace, shell: Shell) -> int | None:
         return None
 
 
-def _ask(
-    arguments: argparse.Namespace, shell: Shell, lease: float
-) -> tuple[StreamStatus, Acquisition | None]:
+def _ask(arguments: argparse.Namespace, shell: Shell) -> tuple[StreamStatus, Acquisition | None]:
     """Ask for the stream; returns its claim, and the answer unless it waits."""
     answer: Acquisition | None = None
     try:
-        answer = shell.client.acquire_stream(request_of(arguments, lease))
+        answer = shell.client.acquire_stream(request_of(arguments))
         for warning in answer.warnings:
             shell.warn(warning)
         claim_id = answer.claim_id
@@ -143,6 +141,8 @@ def _ask(
             shell.client.release_stream(error.claim_id)
             raise error.given_up() from error
         claim_id = error.claim_id
+    if arguments.lease is not None:
+        shell.client.renew_stream(claim_id, arguments.lease)
     for each in shell.client.list_streams():
         if each.claim_id == claim_id:
             return each, answer

@@ -168,6 +168,20 @@ def test_the_claim_has_what_was_demanded(client):
     assert claim.deadline == 60.0 and not claim.state.ended
 
 
+def test_a_claim_without_an_answer_ends_with_its_lease(client, monkeypatch):
+    acquire = client.acquire_stream
+
+    def interrupted(request):
+        acquire(request)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(client, "acquire_stream", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(client, f"{ACQUIRE} --lease 0")
+    (claim,) = client.list_streams()
+    assert claim.expires > 0
+
+
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "fast"])
 def test_what_is_no_rate_is_refused(client, rate, capsys):
     with pytest.raises(SystemExit):
