@@ -33,12 +33,14 @@ def find_files(words: Sequence[str]) -> list[str]:
     """Find launch files: `PKG FILE ...` or `FILE ...`.
 
     Raises:
-        CannotLaunch: the package or file does not exist.
+        CannotLaunch: the package or file does not exist, or the package has several of that name.
     """
     try:
         files = [str(each) for each in resolve_launch_arguments(list(words))]
     except RLException as error:
-        raise CannotLaunch(_not_found(words)) from error
+        text = one_line(error)
+        is_ambiguous = text.startswith("multiple files")
+        raise CannotLaunch(text if is_ambiguous else _not_found(words)) from error
     for file in files:
         if file != STDIN and not os.path.isfile(file):
             raise CannotLaunch(f"there is no launch file '{file}'")

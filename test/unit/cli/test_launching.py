@@ -247,6 +247,15 @@ def test_what_is_not_there_is_named(folder, capsys, words, message):
     assert message in refused(capsys, *words.split())
 
 
+def test_files_of_the_same_name_are_listed(folder, capsys, monkeypatch):
+    (folder / "other").mkdir()
+    files = [str(write(each / "a.launch")) for each in (folder, folder / "other")]
+    monkeypatch.setattr("roslib.packages.find_resource", lambda *words: files)
+    said = refused(capsys, "pkg", "a.launch")
+    assert said.startswith("multiple files named [a.launch] in package [pkg]:")
+    assert all(f"- {file} " in said for file in files)
+
+
 #: A launch file, its lines between slashes, and the error in it.
 ERRORS = """
  // <param name="p" value="$(arg x)"/> | a.launch:3: [a.launch] requires the 'x' arg to be set
