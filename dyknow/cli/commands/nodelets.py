@@ -15,7 +15,7 @@ from dyknow.cli.output import nodelet_json
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import DuplicatePort, UnknownTransformation
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out, spawning
-from dyknow.model.graph import PortRef, PortState, SpawnRequest, State
+from dyknow.model.graph import PortRef, PortState, SpawnRequest
 from dyknow.model.hosts import AT
 from dyknow.model.transformation import OUT, Transformation
 from dyknow.similar import did_you_mean
@@ -120,13 +120,8 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def show_spawned(shell: Shell, name: str) -> None:
-    """Wait until the model shows a new nodelet, and show it."""
-    model = shell.client.wait_for_model(
-        lambda model: any(
-            each.name == name and each.state is not State.STARTING for each in model.nodelets
-        )
-    )
-    nodelet = (model or shell.client.get_graph()).nodelet(name)
+    """Show a new nodelet."""
+    nodelet = shell.client.get_graph().nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
         return

@@ -449,10 +449,11 @@ def test_a_spawn_that_cannot_be_shown_leaves_nothing(chain, monkeypatch, option)
     os.close(pipe)
     assert chain.get_graph().nodelets == before
 
-    def interrupt(condition):
+    def interrupt():
+        monkeypatch.undo()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chain, "wait_for_model", interrupt)
+    monkeypatch.setattr(chain, "get_graph", interrupt)
     with pytest.raises(KeyboardInterrupt):
         run(chain, f"spawn relay r {option}")
     assert chain.get_graph().nodelets == before
