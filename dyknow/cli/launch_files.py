@@ -19,10 +19,10 @@ from roslaunch.loader import LoadException
 from roslaunch.rlutil import resolve_launch_arguments
 from roslaunch.xmlloader import XmlLoader
 
+from dyknow.cli.output import STDIO
 from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
 
-STDIN = "-"
 #: What roslaunch raises about a launch file.
 ERRORS = (RLException, LoadException, rospkg.ResourceNotFound, ValueError)
 #: A launch file, and the arguments that it is given, as roslaunch takes them.
@@ -42,7 +42,7 @@ def find_files(words: Sequence[str]) -> list[str]:
         is_ambiguous = text.startswith("multiple files")
         raise CannotLaunch(text if is_ambiguous else _not_found(words)) from error
     for file in files:
-        if file != STDIN and not os.path.isfile(file):
+        if file != STDIO and not os.path.isfile(file):
             raise CannotLaunch(f"there is no launch file '{file}'")
     return files
 

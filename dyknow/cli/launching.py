@@ -28,7 +28,8 @@ from roslaunch.parent import ROSLaunchParent
 from roslib.packages import find_node
 
 from dyknow import names
-from dyknow.cli.launch_files import ERRORS, STDIN, explain, one_line, place_of_node, said
+from dyknow.cli.launch_files import ERRORS, explain, one_line, place_of_node, said
+from dyknow.cli.output import STDIO
 from dyknow.cli.rewirable import NO_LIBRARY, find_in_workspaces, find_library, obstacle
 from dyknow.errors import CannotLaunch, CannotRun
 from dyknow.ros.process import signals
@@ -245,7 +246,7 @@ def read(
     Raises:
         CannotLaunch: they cannot be read.
     """
-    sources = [(file, list(given)) for file in files if file != STDIN]
+    sources = [(file, list(given)) for file in files if file != STDIO]
     timeouts = {
         name: getattr(options, name)
         for name in ("sigint_timeout", "sigterm_timeout")
@@ -261,7 +262,7 @@ def read(
             force_screen=options.screen,
             force_log=options.log,
             force_required=options.required,
-            roslaunch_strs=[piped] if STDIN in files else None,
+            roslaunch_strs=[piped] if STDIO in files else None,
             show_summary=not options.no_summary,
             **timeouts,
         )

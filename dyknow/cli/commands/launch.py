@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 from dyknow.cli import completion
 from dyknow.cli.arguments import REPEATED, argument, flag, group
-from dyknow.cli.output import columns, count, picked
+from dyknow.cli.output import STDIO, columns, count, picked
 from dyknow.cli.shell import Shell, command
 from dyknow.errors import CannotLaunch
 from dyknow.similar import did_you_mean
@@ -77,7 +77,7 @@ _ROSLAUNCH = group(
 )
 def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.cli import launching
-    from dyknow.cli.launch_files import STDIN, find_files, unknown_arguments
+    from dyknow.cli.launch_files import find_files, unknown_arguments
     from dyknow.cli.launching import NodeFilter
 
     if arguments.json and not arguments.dry_run:
@@ -85,7 +85,7 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
     if arguments.screen and arguments.log:
         arguments.refuse("--screen and --log exclude each other")
     files, given = find_files(arguments.words), arguments.given
-    piped = sys.stdin.read() if STDIN in files else ""
+    piped = sys.stdin.read() if STDIO in files else ""
     chosen = NodeFilter(arguments.only, arguments.except_)
 
     def prepare(run_id: str = "") -> Any:
