@@ -70,8 +70,7 @@ def _bindings(shell: Shell, tag: str) -> list[dict[str, str]] | None:
         found = shell.client.find_bindings(tag)
     except Refused:  # the tag is not a term, so it cannot be requested
         return None
-    pairs = [[each.partition("=")[::2] for each in way.split(", ")] for way in found]
-    return [dict(each) for each in pairs]
+    return [dict(each.partition("=")[::2] for each in way.split(", ")) for way in found]
 
 
 def _written(bindings: list[dict[str, str]] | None) -> str:
