@@ -84,11 +84,7 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
         return sandbox.handle or rospy
 
     def of_handle(name: str) -> Callable[..., Any]:
-        def call(*args: Any, **kwds: Any) -> Any:
-            sandbox.waits()
-            return getattr(handle(), name)(*args, **kwds)
-
-        return call
+        return lambda *args, **kwds: getattr(handle(), name)(*args, **kwds)
 
     def wait_for_own_service(service: str, timeout: Any = None) -> None:
         wait_for_service(sandbox, handle().resolve_name(service), timeout)

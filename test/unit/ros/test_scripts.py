@@ -9,6 +9,7 @@ import logging
 import sys
 import threading
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import rospy
@@ -119,6 +120,15 @@ tick(5)
         for thread in threads:
             sandbox.adopt(thread)
         assert sandbox.threads == threads
+
+
+def test_a_parameter_that_is_read_is_no_wait_that_ends_the_load():
+    """Or a script without a parameter that it needs would count as loaded."""
+    sandbox: Any = Sandbox("/script", main=threading.current_thread())
+    sandbox.begin(SimpleNamespace(get_param=str))
+    view = rospy_views(sandbox, lambda: None, lambda: rospy)["rospy"]()
+    assert view.get_param("~rate") == "~rate"
+    assert not sandbox.settled.is_set()
 
 
 class TestWhatConcernsTheProcess:
