@@ -146,6 +146,7 @@ class StreamSession:
                 return
             self._sessions.pop(self._client.manager)
         self._worker.close()
+        self._client.close()
         with self._turn:
             if self._subscriber is not None:
                 self._subscriber.unregister()
@@ -212,6 +213,8 @@ class StreamSession:
         """Ask for the current status: events are not latched, so some may have been missed."""
         with self._state_lock:
             events = {key: self._streams[key].events for key in claim_ids if key in self._streams}
+        if not events:
+            return
         try:
             claims = {each.claim_id: each for each in self._client.list_streams()}
         except (HostError, PeerTimeout):

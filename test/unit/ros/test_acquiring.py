@@ -15,6 +15,7 @@ import pytest
 import rospy
 from clocks import in_thread, join, wait_for
 
+from dyknow.errors import Refused
 from dyknow.model.streams import ClaimState, StreamEvent, StreamStatus
 from dyknow.ros import stream_session
 from dyknow.ros.acquiring import AcquiredStream
@@ -58,8 +59,8 @@ def around(monkeypatch):
     return around
 
 
-def open_session(manager):
-    client: Any = SimpleNamespace(manager=manager, list_streams=lambda: ())
+def open_session(manager, close=lambda: None):
+    client: Any = SimpleNamespace(manager=manager, list_streams=lambda: (), close=close)
     return StreamSession.open(client)
 
 
@@ -85,6 +86,28 @@ def test_a_manager_that_is_slow_to_connect_holds_up_no_other(around):
     assert around.open
     sessions[1].close()
     assert around.open == []
+
+
+def test_the_connections_for_renewals_end_with_the_session(around):
+    close = mock.Mock()
+    sessions = [open_session("/manager", close) for _ in range(2)]
+    sessions[0].close()
+    close.assert_not_called()
+    sessions[1].close()
+    close.assert_called_once_with()
+
+
+def test_a_stream_that_is_released_where_it_is_lost_opens_no_connection(around):
+    """The round that has found its claim ended goes on after the session's end."""
+    session = open_session("/manager")
+    client: Any = session._client
+    client.renew_stream = mock.Mock(side_effect=Refused("unknown"))
+    client.list_streams = mock.Mock(return_value=())
+    stream: Any = mock.Mock(claim_id="c", lease=30.0, events=0)
+    stream.on_lost.side_effect = lambda why: session.close()
+    session._streams["c"], session._due["c"] = stream, 0.0
+    session._keep()
+    assert client.list_streams.call_count == 1
 
 
 def test_a_session_that_cannot_be_opened_leaves_nothing(around, monkeypatch):

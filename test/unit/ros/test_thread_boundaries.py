@@ -121,7 +121,7 @@ def test_leases_are_renewed_although_one_of_them_raises(monkeypatch, closing):
     monkeypatch.setattr(stream_session, "_RETRY", 0.01)
     renew = Fault()
     client: Any = SimpleNamespace(
-        manager="/manager", renewer=lambda: renew, renew_stream=renew, list_streams=lambda: ()
+        manager="/manager", renew_stream=renew, list_streams=lambda: (), close=lambda: None
     )
     session = stream_session.StreamSession.open(client)
     closing.append(session)
