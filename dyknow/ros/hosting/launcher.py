@@ -230,7 +230,10 @@ class Launcher:
     def _limit_outputs(self) -> None:
         """Remove the oldest outputs of processes that have ended, of earlier lives too."""
         count = size = 0
-        outputs = [(file.stat(), file) for file in Path(self._log_folder).glob("*-output.log")]
+        outputs = []
+        for file in Path(self._log_folder).glob("*-output.log"):
+            with contextlib.suppress(OSError):  # another thread has just removed it
+                outputs.append((file.stat(), file))
         for found, file in sorted(outputs, key=lambda each: each[0].st_mtime_ns, reverse=True):
             if os_process.is_locked(file):
                 continue

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, List, Set, cast
+from unittest import mock
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
@@ -408,3 +409,14 @@ def test_outputs_are_bounded_in_all_and_those_of_an_earlier_life_go_first(
         "first-output.log",
         "second-output.log",
     }
+
+
+def test_an_output_that_another_thread_removes_just_now_hinders_no_clean_up(launched, tmp_path):
+    launcher, end = launched
+    launcher._master.ask = mock.Mock()
+    (folder,) = tmp_path.iterdir()
+    (folder / "x-output.log").symlink_to("removed")
+    record = ChildRecord("/first", NodeletKind.PYTHON)
+    launcher.launch(record)
+    end(record)
+    launcher._master.ask.assert_any_call("deleteParam", "/first/owner")
