@@ -93,8 +93,8 @@ class Launcher:
     def launch(self, child: ChildRecord, command: Sequence[str] = ()) -> tuple[ProcessId, LogTail]:
         """Start a nodelet manager, or a node with a ``command``.
 
-        Its registration replaces that of a dead predecessor at the master. Raises ``OSError`` or
-        ``HostError`` if it cannot be started.
+        Its registration replaces that of a dead predecessor at the master. Raises ``OSError``,
+        ``HostError`` or ``RuntimeError`` if it, or its watchdog, cannot be started.
         """
         kind, name = child.kind, child.name
         for key, value in self._parameters_of(kind, name).items():
@@ -106,7 +106,11 @@ class Launcher:
         environment = {**tag, **self._guards}
         found = os_process.start((*program, *node), output, rospkg.get_ros_home(), environment)
         if kind is not NodeletKind.PYTHON and self._orphan_timeout > 0:
-            self._watch(found, output + ".owner")
+            try:
+                self._watch(found, output + ".owner")
+            except BaseException:
+                found.end(0.0)
+                raise
         return found, LogTail(output)
 
     def follow(self, name: str) -> LogTail:

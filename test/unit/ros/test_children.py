@@ -420,3 +420,16 @@ def test_an_output_that_another_thread_removes_just_now_hinders_no_clean_up(laun
     launcher.launch(record)
     end(record)
     launcher._master.ask.assert_any_call("deleteParam", "/first/owner")
+
+
+def test_a_process_whose_watchdog_cannot_be_started_is_ended(launched, monkeypatch):
+    """No record has it yet, so it would keep its name from the next one for ever."""
+    launcher, _ = launched
+    launcher._orphan_timeout = 1.0
+    start = mock.Mock(side_effect=[ProcessId(1, 1), OSError("too many open files")])
+    end = mock.Mock()
+    monkeypatch.setattr(os_process, "start", start)
+    monkeypatch.setattr(ProcessId, "end", end)
+    with pytest.raises(OSError, match="too many open files"):
+        launcher.launch(ChildRecord("/node", NodeletKind.SCRIPT), ("true",))
+    end.assert_called_once_with(0.0)
