@@ -88,10 +88,14 @@ class Child(Peer):
         self._life = f"life of {self.name}"
         self.loop.add(self._life, work, 0.0, pause=0.0)
 
+    def live_on(self) -> None:
+        """Begin the next round of that work without a pause."""
+        self.loop.wake(self._life)
+
     def end_soon(self) -> None:
         """Start it no more, and let the work of its life see that."""
         self.wanted = False
-        self.loop.wake(self._life)
+        self.live_on()
         self.went_down()
 
     def went_down(self, trouble: str = "") -> None:

@@ -199,7 +199,9 @@ class Children:
             raise HostError(f"nodelet manager '{name}' is not running")
         before = child.state.incarnation
         self._deaths.forgive(name)
-        child.is_renewed = True
+        with self._changed:
+            child.is_renewed = child.record.process is not None
+        child.live_on()
         child.end()
         with self._changed:
             self._changed.wait_for(

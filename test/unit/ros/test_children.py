@@ -8,6 +8,7 @@ from __future__ import annotations
 import fcntl
 import os
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from dyknow_msgs.msg import NodeletChanges, NodeletPorts
 from unit.ros.small_graph import SmallManager, small_graph
 
+from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Crash, HostReport, LoadRequest
 from dyknow.manager.store import Store
@@ -124,6 +126,28 @@ def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monk
     assert answers == ["nodelet manager '/dyknow_nodelet_manager': another node has that name"]
     launcher.living = lambda name: None
     wait_for(launcher.launched)
+    children.end_all()
+
+
+def test_a_restart_ends_the_pause_of_a_process_that_cannot_be_started(
+    children, launcher, monkeypatch
+):
+    """The process that is started then has not been ended for another one."""
+    monkeypatch.setattr(children_module, "START_TIMEOUT", 0.0)
+    children._deaths = Backoff(time.monotonic, 3600.0, 3600.0, tolerated=0)
+    renewed = []
+
+    def launch(child, command):
+        renewed.append(children.find(child.name).is_renewed)
+        raise OSError("no process")
+
+    launcher.launch = launch
+    children.want(NodeletKind.PYTHON, 1)
+    eventually(lambda: children._deaths.paused)
+    with pytest.raises(HostError):
+        children.renew("/dyknow_nodelet_manager")
+    eventually(lambda: len(renewed) == 2)
+    assert renewed == [False, False]
     children.end_all()
 
 
