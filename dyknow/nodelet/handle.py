@@ -10,6 +10,7 @@ derived from it, the one of ``dyknow.proxy`` declares ports.
 from __future__ import annotations
 
 import queue
+import threading
 from typing import Any, Callable
 
 from dyknow import names
@@ -212,12 +213,16 @@ class Inbox(Closable):
     def __init__(self, context: Context) -> None:
         self._context = context
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        #: The thread that is about to put the message, if that is known.
+        self.putting = 0
 
     def put(self, message: Any) -> None:
         self._queue.put((message,))
 
     def close(self) -> None:
-        self._queue.put(None)
+        """End the wait, unless the thread that calls is about to put the message."""
+        if threading.get_ident() != self.putting:
+            self._queue.put(None)
 
     def get(self, what: str, timeout: float | None) -> Any:
         """Wait for the message."""
@@ -230,7 +235,9 @@ class Inbox(Closable):
         finally:
             self._context.forget(self)
         if entry is None:
-            raise node.interrupted(f"{what}: nodelet {self._context.name} was unloaded")
+            unloaded = f"nodelet {self._context.name} was unloaded"
+            end = unloaded if self._context.closed else "it was shut down"
+            raise node.interrupted(f"{what}: {end}")
         return entry[0]
 
 
@@ -279,8 +286,13 @@ class Service(Closable):
         inbox = Inbox(context)
         self._waiting.add(inbox)
         strand = context.new_strand(self.resolved_name) if self._concurrent else context.strand
+
+        def answer() -> None:
+            inbox.putting = threading.get_ident()
+            inbox.put(self._answer(request))
+
         try:
-            strand.post(lambda: inbox.put(self._answer(request)))
+            strand.post(answer)
             response, error = inbox.get(f"service '{self.resolved_name}'", None)
         finally:
             self._waiting.discard(inbox)

@@ -116,6 +116,34 @@ def test_an_unload_ends_the_waits_of_callers(world, concurrent):
     release.set()
 
 
+@pytest.mark.parametrize("concurrent", [False, True])
+@pytest.mark.parametrize("end", ["nodelet", "service"])
+def test_a_handler_that_ends_its_nodelet_or_service_still_answers(world, concurrent, end):
+    nh = world.handle("/going", concurrent)
+
+    def leave(request):
+        (nh.context.close if end == "nodelet" else service.shutdown)()
+        return "bye"
+
+    service = nh.Service("s", object, leave)
+    assert Caller(world, "/s").outcome() == "bye"
+
+
+def test_a_shutdown_of_a_service_ends_the_waits_of_callers(world):
+    started, release = threading.Event(), threading.Event()
+
+    def hang(request):
+        started.set()
+        wait_for(release)
+
+    service = world.handle("/staying").Service("s", object, hang)
+    caller = Caller(world, "/s")
+    wait_for(started)
+    service.shutdown()
+    assert str(caller.outcome()) == "service '/s': it was shut down"
+    release.set()
+
+
 def test_calls_of_a_concurrent_handle_overlap(world):
     nh = world.handle(concurrent=True)
     both = threading.Barrier(2)
