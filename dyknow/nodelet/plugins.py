@@ -142,19 +142,23 @@ class Plugins:
         self._lock = state_lock("plug-ins")
         self._classes: dict[str, PluginClass] = {}
         self._broken: tuple[str, ...] = ()
+        #: Of each description, as it was read.
+        self._stamps: Mapping[Path, Mapping[str, Stamp]] = {}
 
     def refresh(self) -> None:
         """Read the descriptions again; a broken one is remembered and hides no other."""
         classes: dict[str, PluginClass] = {}
         broken: list[str] = []
-        for plugin_file in sorted(self._find(), key=lambda each: (each.package, str(each.file))):
+        found = sorted(self._find(), key=lambda each: (each.package, str(each.file)))
+        present = {each.file: stamps([str(each.file)]) for each in found}
+        for plugin_file in found:
             try:
                 for declared in read(plugin_file):
                     classes.setdefault(declared.name, declared)
             except BrokenPlugin as error:
                 broken.append(str(error))
         with self._lock:
-            self._classes, self._broken = classes, tuple(broken)
+            self._classes, self._broken, self._stamps = classes, tuple(broken), present
 
     def declared(self) -> list[PluginClass]:
         """All declared classes, by name."""
@@ -163,8 +167,12 @@ class Plugins:
             return [self._classes[name] for name in sorted(self._classes)]
 
     def find(self, name: str) -> PluginClass:
-        """Return the class declared as ``name``, or raise UnknownNodeletType; refreshes once."""
-        if name not in self._classes:
+        """Return the class declared as ``name``, or raise UnknownNodeletType.
+
+        Refreshes once, if the name is not known or its description has changed.
+        """
+        known = self._classes.get(name)
+        if known is None or self._stamps.get(known.file) != stamps([str(known.file)]):
             self.refresh()
         with self._lock:
             declared = self._classes.get(name)

@@ -183,6 +183,17 @@ def test_an_unknown_type_is_looked_for_once_more_and_refused_with_those_known(pa
     assert packages.load("no/Such").__name__ == "Good"
 
 
+def test_a_changed_description_is_read_again(packages):
+    packages.add_good("mod_a")
+    assert packages.load("good/Nodelet").__module__ == "mod_a"
+    described = packages.files[0].file
+    described.write_text(GOOD.format(module="mod_other"))
+    assert packages.plugins.find("good/Nodelet").type == "mod_other.Good"
+    described.unlink()
+    with pytest.raises(UnknownNodeletType, match="cannot be read"):
+        packages.load("good/Nodelet")
+
+
 def test_only_declared_classes_are_imported(packages):
     packages.add_good("mod_h")
     for name in ("mod_h.Good", "os.system", "mod_h/Good", ""):
