@@ -20,6 +20,7 @@ import rospy
 from rospy.impl.registration import get_topic_manager
 
 from dyknow.errors import PeerTimeout, RemappedTopic
+from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.transport.conversions import TypedReceiver, shallow_copy
 from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
@@ -237,6 +238,7 @@ class RospySubscriber(OutsideSubscriber):
         self._shut: list[Any] = []
         self._expected = registrar.publishers(topic)
         self._missing: frozenset[str] = frozenset()
+        self._closed = flag_lock()
 
     def publishers(self) -> int:
         return len(self._implementation.connections or ())
@@ -302,6 +304,8 @@ class RospySubscriber(OutsideSubscriber):
         _wait_while(lambda each: not each.done, connections, deadline)
 
     def close(self) -> None:
+        if not self._closed.acquire(blocking=False):  # by another thread, which may be at it yet
+            return
         self._subscriber.unregister()
         shut, self._shut = self._shut, []
         if shut and get_topic_manager().get_subscriber_impl(self._topic) is self._implementation:

@@ -130,3 +130,18 @@ def test_who_joins_a_subscriber_that_leaves_is_connected_again(topic, joins):
     assert topic.again == ([{PUBLISHER}] if joins else [])
     leaving.close()
     assert len(topic.again) == joins
+
+
+def test_a_subscriber_that_two_threads_close_leaves_a_joint_topic_once(topic, monkeypatch):
+    leaving, other = map(topic.subscribe, ("one", "other"))
+    manager = topics.get_topic_manager()
+    release = manager.release_impl
+
+    def release_amid_another_close(*arguments):
+        monkeypatch.setattr(manager, "release_impl", release)
+        leaving.close()
+        release(*arguments)
+
+    monkeypatch.setattr(manager, "release_impl", release_amid_another_close)
+    leaving.close()
+    assert not other._implementation.closed
