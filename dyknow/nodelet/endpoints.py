@@ -534,7 +534,8 @@ class Publication:
         return True
 
     def _is_fenced(self) -> bool:
-        return self._fence is not None and not self._fence(self.owner)
+        fence = self._fence  # registrations call this without the lock
+        return fence is not None and not fence(self.owner)
 
     def _note_plain(self) -> None:
         self._is_plain = (
@@ -550,6 +551,7 @@ class Publication:
         self.outside = outside
         if outside is not None:
             outside.changed = self._changed
+            outside.is_fenced = self._is_fenced
 
     def _reroute(
         self, route: tuple[Connection, ...] | None, newcomers: tuple[Connection, ...]

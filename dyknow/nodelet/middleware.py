@@ -75,6 +75,8 @@ class OutsidePublisher(Closable):
     in_flight: int
     #: To be called when ``peers`` have changed; None for no call.
     changed: Callable[[], None] | None
+    #: Whether its publication must publish nothing now; ``bool()`` is False.
+    is_fenced: Callable[[], bool] = bool
 
     @property
     @abstractmethod

@@ -167,6 +167,9 @@ class OrdinaryHandles:
         latest = (list(self._latches) or [None])[-1]
         return self._latches.get(None) if latest is None else latest.sent
 
+    def _fenced(self) -> list[Any]:
+        return [each for each in list(self.registrations) if each.is_fenced()]
+
     def adopt(self, publisher: Any) -> None:
         """Pass on what ordinary publishers of this process publish on the topic."""
         if self._publisher is publisher:
@@ -182,6 +185,8 @@ class OrdinaryHandles:
         def publish(message: Any, connection_override: Any = None) -> Any:
             if connection_override is None:
                 self._from_ordinary(message)
+            elif any(each.sent is message for each in self._fenced()):
+                return False  # rospy gives a new subscriber the latched message
             return outwards(message, connection_override)
 
         def add_connection(connection: Any) -> Any:
@@ -359,7 +364,9 @@ class OrdinaryHandles:
         """
         if ordinary and None in self._latches:
             self._hand_over(self._latches[None], [each for each in newcomers if _is_ours(each[0])])
-        registration, message = (list(self._latches.items()) or [(None, NOTHING)])[-1]
+        fenced = self._fenced()
+        latches = [each for each in self._latches.items() if each[0] not in fenced]
+        registration, message = (latches or [(None, NOTHING)])[-1]
         if message is not NOTHING and (ordinary or registration is not None):
             self._hand_over(message, [each for each in newcomers if not _is_ours(each[0])])
 

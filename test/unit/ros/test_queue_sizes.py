@@ -19,6 +19,7 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
 
+from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.ros.transport import intraprocess, topics
 from dyknow.ros.transport.intraprocess import OrdinaryHandles
@@ -50,15 +51,16 @@ class Topic:
 
     def _registered(self, *arguments: Any, queue_size: int, **options: Any) -> Any:
         self.implementation.set_queue_size(queue_size)
+        self.implementation.is_latch |= options["latch"]
         return SimpleNamespace(impl=self.implementation)
 
-    def advertise(self, queue_size: int) -> RospyPublisher:
+    def advertise(self, queue_size: int, latch: bool = False) -> RospyPublisher:
         intraprocess: Any = SimpleNamespace(publishing=lambda topic: self.handles)
         registrar: Any = SimpleNamespace(
             subscribers=lambda topic: self.notified, late=LateSubscribers()
         )
         memory: Any = SimpleNamespace(publish=lambda *arguments: False)
-        return RospyPublisher(intraprocess, memory, registrar, "/t", String, False, queue_size, {})
+        return RospyPublisher(intraprocess, memory, registrar, "/t", String, latch, queue_size, {})
 
     def subscribe(self, node: str = "/recorder") -> socket.socket:
         """Let a process subscribe; returns its socket."""
@@ -257,3 +259,21 @@ def test_an_ordinary_subscriber_gets_the_latched_message_once(
     subscriber.add_callback(lambda message: received.append(message.data), None)
     topic.executor.drain()
     assert received == ["latched"]
+
+
+def test_no_subscriber_gets_the_latched_message_of_a_publication_that_is_fenced(
+    topic: Topic, subscriber: Any
+) -> None:
+    transport: Any = SimpleNamespace(build=None, converter=lambda datatype: None, sample_of=None)
+    publication = Publication(String, True, 1, transport, float, KeyError, {}, "/n")
+    is_allowed = [True]
+    publication.connect("/t", topic.advertise(1, latch=True), (), lambda owner: is_allowed[0])
+    publication.publish(String("before"))
+    is_allowed[0] = False
+    there, received = topic.subscribe(), []
+    subscriber.add_callback(lambda message: received.append(message.data), None)
+    is_allowed[0] = True
+    publication.publish(String("after"))
+    topic.executor.drain()
+    assert received == ["after"]
+    assert there.recv(100)[8:] == b"after", "behind two lengths"
