@@ -7,7 +7,8 @@ The master answers the registration of a topic with the nodes on its other side.
 answer for publishers. Registering again would notify every subscriber twice: a rospy subscriber
 may then connect twice, and messages sent over the first connection are lost.
 rospy also repeats a registration for ever while the master is down, under the locks that
-every other registration of the process needs; here one that fails is repeated by a thread.
+every other registration of the process needs; here one that fails is repeated by a thread. So is a
+withdrawal, or the master would list the topic for as long as the process lives.
 
 The hook is two instance attributes of rospy's ``RegManager``, those of its documented
 ``RegistrationListener`` interface.
@@ -62,6 +63,7 @@ class Registrar:
         self._lock = state_lock("registrar")
         #: Subscribers that are not waited for.
         self.late = LateSubscribers()
+        #: With the type or address that is to be registered; empty for a withdrawal.
         self._owed: dict[Key, str] = {}
         self._peers: dict[Key, Addresses] = {}
         self._worker = PeriodicWorker(
@@ -101,7 +103,7 @@ class Registrar:
     def is_subscribed(self, topic: str) -> bool:
         """Whether the master knows the subscription of this process, as far as there is one."""
         with self._lock:
-            return (Registration.SUB, topic, "") not in self._owed
+            return not self._owed.get((Registration.SUB, topic, ""))
 
     def reg_added(self, name: str, datatype_or_uri: str, kind: str) -> None:
         """Register a topic or a service, after those that wait for the master already."""
@@ -114,9 +116,10 @@ class Registrar:
     def reg_removed(self, name: str, datatype_or_uri: str, kind: str) -> None:
         key = _key(kind, name, datatype_or_uri)
         with self._lock:
-            self._owed.pop(key, None)
+            is_owed = key in self._owed  # and may be under way
             self._peers.pop(key, None)
-        self._unregister(key)
+        if is_owed or not self._unregister(key):
+            self._owe(key, "")
         if kind == Registration.PUB:
             self._reminders.withdrawn(name)
 
@@ -161,17 +164,20 @@ class Registrar:
         except PeerTimeout:
             return frozenset()
 
-    def _unregister(self, key: Key) -> None:
+    def _unregister(self, key: Key) -> bool:
         kind, name, service = key
         try:
             self._master.ask(_QUESTIONS[kind][1], name, service or self._uri)
         except PeerTimeout as error:
-            _log.warning("%s stays registered: %s", name, error)
+            _log.debug("%s stays registered: %s", name, error)
+            return False
         except LookupError:
             pass  # the master has forgotten it already
+        return True
 
     def _owe(self, key: Key, what: str) -> None:
-        _log.warning("the ROS master does not answer; %s will be registered when it does", key[1])
+        change = "registered" if what else "withdrawn"
+        _log.warning("the ROS master does not answer; %s will be %s when it does", key[1], change)
         with self._lock:
             is_first = not self._owed
             self._owed[key] = what
@@ -180,7 +186,7 @@ class Registrar:
             self._worker.wake()
 
     def _settle(self) -> None:
-        """Repeat the failed registrations, one after the other, as long as the master answers.
+        """Repeat what failed, one after the other, as long as the master answers.
 
         Nothing is registered if another node has our name by now: the master would shut it down.
         """
@@ -194,12 +200,11 @@ class Registrar:
                 if not self._owed:
                     return
                 key, what = next(iter(self._owed.items()))
-            if not self._register(key, what):
+            if not (self._register(key, what) if what else self._unregister(key)):
                 return
             with self._lock:
-                is_wanted = self._owed.pop(key, None) is not None
-            if not is_wanted:  # removed while it was being registered
-                self._unregister(key)
+                if self._owed[key] == what:  # else that has changed meanwhile
+                    del self._owed[key]
 
 
 def _key(kind: str, name: str, datatype_or_uri: str) -> Key:

@@ -124,3 +124,31 @@ def test_a_node_that_lost_its_name_meanwhile_registers_nothing(master, registrar
     assert master.calls == []
     master.newcomer = ""
     eventually(lambda: "/a" in master.registered)
+
+
+def test_a_withdrawal_that_a_dead_master_missed_is_repeated(master, registrar):
+    for topic in ("/a", "/b"):
+        registrar.reg_added(topic, STRING, "pub")
+    master.stop()
+    for topic in ("/a", "/b"):
+        registrar.reg_removed(topic, STRING, "pub")
+    registrar.reg_added("/b", STRING, "pub")
+    assert registrar.is_subscribed("/a")
+    master.start()
+    eventually(lambda: master.registered == {"/b": STRING})
+
+
+def test_a_topic_that_is_withdrawn_while_it_is_registered_late(master, registrar):
+    master.stop()
+    registrar.reg_added("/a", STRING, "pub")
+    remove = [lambda: registrar.reg_removed("/a", STRING, "pub")]
+    register = master.register
+
+    def register_amid(*arguments):
+        remove.pop()()
+        return register(*arguments)
+
+    master.register = register_amid
+    master.start()
+    eventually(lambda: not registrar._owed)
+    assert (master.calls, master.registered) == (["/a"], {})
