@@ -33,6 +33,7 @@ import rospy
 import rospy.core
 import rospy.impl.registration
 import rospy.impl.tcpros
+from rospy.impl.tcpros_pubsub import QueuedConnection
 from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.errors import PeerTimeout
@@ -220,8 +221,12 @@ class OrdinaryHandles:
         publisher.publish = publish
         publisher.add_connection = add_connection
         self._follow(publisher, "remove_connection")
-        for connection in publisher.connections:  # those that were there already
-            connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
+        with publisher.c_lock:
+            present = publisher.connections  # those that were there already
+            for number, connection in enumerate(present):
+                connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
+                if not isinstance(connection, QueuedConnection):  # rospy gave it none yet
+                    present[number] = self._outbound(connection, publisher.queue_size)
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
             # It takes the place of rospy's connection to itself, which has delivered its latch.

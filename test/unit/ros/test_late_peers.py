@@ -230,6 +230,7 @@ class Graph:
             connections=[],
             latch=None,
             queue_size=1,
+            c_lock=threading.RLock(),
             **dict.fromkeys(("publish", "add_connection", "remove_connection"), nothing),
             **dict.fromkeys(("acquire", "release"), nothing),
         )
