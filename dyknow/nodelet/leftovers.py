@@ -144,7 +144,7 @@ class StuckCallbacks:
     def check(self) -> None:
         """Announce changes, and a callback that still runs each time that its age has doubled."""
         self._loader.runtime.catch_up()
-        ages = self._ages()
+        ages = {each.name: each.callback_age() for each in self._loader.contexts()}
         before = set(self._due)
         stuck = _due_now(self._due, ages, self._after)
         for name in sorted({*stuck, *(before - set(self._due)) & set(ages)}):
@@ -167,9 +167,6 @@ class StuckCallbacks:
     def remains(self) -> list[str]:
         """Describe the code of unloaded nodelets that still runs, a line for each."""
         return [_remains_text(*each) for each in self._loader.leftovers.running().items()]
-
-    def _ages(self) -> dict[str, float]:
-        return {each.name: each.callback_age() for each in self._loader.contexts()}
 
 
 def _remains_text(name: str, age: float) -> str:
