@@ -66,7 +66,6 @@ class IntraProcessTransport(Transport):
         super().__init__(INBOUND, topic)
         self.endpoint_id = uri
         self.callerid_pub = rospy.get_name()
-        self.is_latched = False
         self.latch: Any = None
         self.socket = None
         self._closed = closed
