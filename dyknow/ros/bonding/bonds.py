@@ -62,7 +62,6 @@ class Bonds:
         self,
         topic: str,
         timings: BondTimings = STOCK_TIMINGS,
-        executor: Callable[[Callable[[], None]], object] = partial(in_background, "broken bonds"),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Make an end without bonds; the topic is registered with the first.
@@ -70,15 +69,12 @@ class Bonds:
         Args:
             topic: where both ends publish, `MANAGER/bond` for nodelets.
             timings: limits and periods of all bonds.
-            executor: runs the callbacks of broken bonds. By default they have a short-lived
-                thread, since a slow unload must not delay the heartbeats of the other bonds.
             clock: seconds by which silence is measured. A clock of the time for which this
                 process has run leaves sisters time to answer after a pause.
         """
         self._clock = clock
         self._topic = topic
         self._timings = timings
-        self._executor = executor
         self._changed = state_condition("bonds")
         self._table = BondTable(timings)
         self._thread: threading.Thread | None = None
@@ -193,8 +189,8 @@ class Bonds:
                 "More than two locations are trying to use a single bond "
                 f"(topic: {self._topic}, id: {bond_id}).",
             )
-        if effects.broken:
-            self._executor(partial(_call_each, effects.broken))
+        if effects.broken:  # a slow unload must not delay the heartbeats of the other bonds
+            in_background("broken bonds", partial(_call_each, effects.broken))
 
     def _is_heartbeat_timeout_disabled(self, silent: Sequence[str]) -> bool:
         """Whether silence breaks no bonds, as a parameter for debugging says."""
