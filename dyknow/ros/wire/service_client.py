@@ -87,13 +87,12 @@ class TcprosConnection:
 
     def keep_alive(self) -> None:
         """Notice within seconds, while nothing is received, that the other side's host is gone."""
-        for level, option, value in (
-            (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
-            (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5),
-            (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2),
-            (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+        for option, value in (
+            (socket.TCP_KEEPIDLE, 5),
+            (socket.TCP_KEEPINTVL, 2),
+            (socket.TCP_KEEPCNT, 3),
         ):
-            self._socket.setsockopt(level, option, value)
+            self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
 
     def interrupt(self) -> None:
         """Make a call of another thread raise OSError."""
