@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Callable
 from dyknow import names
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.nodelet.importer import Importer, Module
+from dyknow.nodelet.importer import Importer
 from dyknow.nodelet.module_files import Dependents, reached_from
 from dyknow.ros.scripts import process_view, rospy_view
 from dyknow.ros.scripts.sandbox import Sandbox, SandboxEnd
@@ -37,14 +37,11 @@ def script_importer(
     """
     folders = [os.path.dirname(script), os.path.dirname(os.path.abspath(given))]
 
-    def timer() -> Module:
-        return importer.import_module(rospy_view.COPIED)
-
     importer = Importer(
         lambda name: name in _COPIED or DEPENDENTS.has(name),
         list(dict.fromkeys(folders)),
         {
-            **rospy_view.rospy_views(sandbox, init_node, timer),
+            **rospy_view.rospy_views(sandbox, init_node, lambda: importer),
             **process_view.process_views(sandbox),
             **process_view.script_views(sandbox, lambda: importer),
         },
@@ -68,13 +65,10 @@ def importer_with_libraries(context: Context, module: str, package: Package) -> 
     def no_node(*args: Any, **kwds: Any) -> None:
         """Do nothing: the nodelet manager is a node already."""
 
-    def timer() -> Module:
-        return importer.import_module(rospy_view.COPIED)
-
     importer = Importer(
         lambda name: name in package.tops or name in _COPIED or DEPENDENTS.has(name),
         views={
-            **rospy_view.rospy_views(sandbox, no_node, timer),
+            **rospy_view.rospy_views(sandbox, no_node, lambda: importer),
             **process_view.process_views(sandbox),
         },
         blind=package.tops,

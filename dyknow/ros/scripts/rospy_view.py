@@ -25,7 +25,7 @@ import rospy.service
 import rospy.topics
 
 from dyknow import names
-from dyknow.nodelet.importer import Module, View
+from dyknow.nodelet.importer import Importer, Module, View
 from dyknow.ros.scripts.rospy_classes import bound_classes, wait_for, wait_for_service
 from dyknow.ros.scripts.sandbox import Sandbox
 
@@ -42,11 +42,11 @@ _LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logo
 
 
 def rospy_views(
-    sandbox: Sandbox, init_node: Callable[..., None], timer: Callable[[], Module]
+    sandbox: Sandbox, init_node: Callable[..., None], importer: Callable[[], Importer]
 ) -> dict[str, Callable[[], Module]]:
     """Return factories of the views of rospy and its submodules, by name.
 
-    ``timer`` returns the sandbox's copy of ``rospy.timer``.
+    ``importer`` returns that of the sandbox, which has a copy of ``rospy.timer``.
     """
     members = _members(sandbox, init_node)
 
@@ -56,21 +56,22 @@ def rospy_views(
     submodules = {name: getattr(rospy, name) for name in _SUBMODULES}
     below: dict[str, Module] = {name: View(real, of(real)) for name, real in submodules.items()}
     views = {f"rospy.{name}": view for name, view in below.items()}
-    views["rospy"] = _Rospy({**of(rospy), **below}, timer)
+    views["rospy"] = _Rospy({**of(rospy), **below}, importer)
     return {name: functools.partial(_same, view) for name, view in views.items()}
 
 
 class _Rospy(View):
     """rospy itself, whose ``Rate``, ``Timer`` and ``sleep`` are those of the sandbox's copy."""
 
-    def __init__(self, members: Mapping[str, Any], timer: Callable[[], Module]) -> None:
+    def __init__(self, members: Mapping[str, Any], importer: Callable[[], Importer]) -> None:
         super().__init__(rospy, members)
-        self.__dict__["_timer"] = timer
+        self.__dict__["_importer"] = importer
 
     def __getattr__(self, name: str) -> Any:
         if name != "timer" and name not in _TIMING:
             return getattr(rospy, name)
-        timer = self.__dict__["_timer"]()  # waits for another thread that imports it just now
+        # The import waits for that of another thread.
+        timer = self.__dict__["_importer"]().import_module(COPIED)
         return timer if name == "timer" else getattr(timer, name)
 
 
