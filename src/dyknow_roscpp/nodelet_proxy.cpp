@@ -88,13 +88,22 @@ void NodeletProxy::add(const std::map<std::string, std::string>& remappings)
 std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction direction,
                                             const std::string& topic)
 {
-  const auto is_known = [&port_name, direction](const auto& each)
-  {
-    return each.port->name.label == port_name.label && each.port->direction == direction;
-  };
   const auto known = this->ports();
+  const auto find = [&known, direction](const std::string& label)
+  {
+    return std::find_if(known.begin(), known.end(),
+                        [&label, direction](const auto& each)
+                        { return each.port->name.label == label && each.port->direction == direction; });
+  };
   std::string first = topicAtStart(topic);
-  if (std::none_of(known.begin(), known.end(), is_known))
+  // What image_transport puts beside an image goes where that was moved, unless the load puts it elsewhere.
+  if (const auto image = find(port_name.image);
+      image != known.end() &&
+      (image->port->resolved.empty() || first == topicBeside(port_name, topicAtStart(image->port->resolved))))
+  {
+    first = topicBeside(port_name, image->port->topic());
+  }
+  if (find(port_name.label) == known.end())
   {
     first = Guards::permitted(first, name);
   }

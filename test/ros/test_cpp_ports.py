@@ -406,6 +406,15 @@ class PortTest(CppCase):
             self.assertEqual(width_on("/resize/image"), width)
         becomes(lambda: graph.nodes_on("/cam/image_raw")[1], set())
 
+    def test_what_a_lazy_nodelet_adds_is_where_its_image_was_moved(self):
+        """Before its first subscription."""
+        self.enter(Camera("/cam", 8))
+        image = {"/camera/image_raw": "/crop/disconnected/camera/image_raw"}
+        self.manager.load("image_proc/crop_decimate", "/crop", image)
+        connect("/crop", **{"camera/image_raw": "/cam/image_raw"})
+        self.assertEqual(width_on("/camera_out/image_raw"), 8)
+        self.has_topics("/crop", **{"camera/camera_info": "/cam/camera_info"})
+
     def test_a_dynamic_reconfigure_server(self):
         self.enter(Camera("/cam", 8))
         self.load("image_proc/resize", "image", "/cam/image_raw", "/resize")
