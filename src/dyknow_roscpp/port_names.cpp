@@ -5,9 +5,11 @@
 
 #include <ros/names.h>
 
+#include <algorithm>
 #include <map>
 #include <mutex>
 #include <utility>
+#include <vector>
 
 #include "names.h"
 
@@ -55,10 +57,11 @@ PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, 
 }
 
 /// The port of a resolved name on which no handle is open; its label is empty if there is none.
-PortName leftPort(const NodeletProxy& owner, const std::string& resolved, Direction direction)
+PortName leftPort(const std::vector<NodeletProxy::NamedPort>& ports, const std::string& resolved,
+                  Direction direction)
 {
   PortName left;
-  for (const auto& [name, port] : owner.ports())
+  for (const auto& [name, port] : ports)
   {
     if (port->direction == direction && port->resolved == resolved && port->ends().empty() &&
         (left.label.empty() || port->name.origin == resolved))
@@ -72,7 +75,8 @@ PortName leftPort(const NodeletProxy& owner, const std::string& resolved, Direct
 /// The port of a resolved name that was left or noted; its label is empty if there is none.
 PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direction direction)
 {
-  const auto left = leftPort(owner, resolved, direction);
+  auto ports = owner.ports();
+  const auto left = leftPort(ports, resolved, direction);
   std::lock_guard<std::mutex> lock(tableLock());
   const auto& noted = table()[owner.name];
   if (const auto found = noted.find(resolved); found != noted.end())
@@ -91,9 +95,17 @@ PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direc
     const std::string label = found->second + "/" + resolved.substr(last);
     return {label, names::globalOf(label, owner.name), found->second};
   }
-  for (const auto& [name, label] : noted)
+  // The handle of the image, or of a transport of it, has been made just before that of its camera_info.
+  std::reverse(ports.begin(), ports.end());
+  for (const auto& [name, port] : ports)
   {
-    if (resolved.compare(last, std::string::npos, "camera_info") == 0 && names::parent(name) == space)
+    const auto& label = port->name.image.empty() ? port->name.label : port->name.image;
+    const auto is_beside = [&label, &space](const auto& each)
+    {
+      return each.second == label && names::parent(each.first) == space;
+    };
+    if (resolved.compare(last, std::string::npos, "camera_info") == 0 && port->direction == direction &&
+        std::any_of(noted.begin(), noted.end(), is_beside))
     {
       const auto slash = label.rfind('/');
       const std::string before = slash != std::string::npos ? label.substr(0, slash + 1)

@@ -287,6 +287,9 @@ class PortTest(CppCase):
                 "left/image": "/right/image",
                 "resolved": "/found",
                 "resolved/compressed": "/found/compressed",
+                "annotated": "/robot/annotated",
+                "seen": "/robot/seen",
+                "camera_info": "/robot/camera_info",
                 "loop_out": "/robot/loop",
                 "loop_in": "/robot/loop",
                 "text": "/robot/text",
@@ -312,6 +315,12 @@ class PortTest(CppCase):
         ):
             connect("/names", **config)
             self.has_topics("/names", **{**config, "resolved/compressed": compressed})
+
+    def test_camera_info_goes_with_the_image_that_was_subscribed_to_before_it(self):
+        """Other images of both directions are in its namespace."""
+        self.manager.load("Names", "/robot/names")
+        connect("/robot/names", seen="/other/seen")
+        self.has_topics("/robot/names", camera_info="/other/camera_info")
 
     def test_a_port_to_come(self):
         """A lazy nodelet has no port yet, but the load names its topic."""

@@ -28,6 +28,12 @@ class Names : public nodelet::Nodelet
     advertise(ros::NodeHandle(nh, "left"), "image");
     advertise(nh, nh.resolveName("resolved"));
     advertise(nh, nh.resolveName("resolved") + "/compressed");
+    const std::string seen = nh.resolveName("seen");
+    for (const auto& topic :
+         {nh.resolveName("annotated"), seen, ros::names::parentNamespace(seen) + "/camera_info"})
+    {
+      subscribers_.push_back(nh.subscribe(topic, 1, &Names::onMessage, this));
+    }
     advertise(nh, "loop");
     subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
     subscribers_.push_back(nh.subscribe("/clock", 1, &Names::onMessage, this));
