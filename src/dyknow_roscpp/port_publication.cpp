@@ -77,7 +77,7 @@ bool PortPublication::open(const ros::AdvertiseOptions& options, const ros::Subs
     {
       return true;
     }
-    first = active_ = std::make_shared<Registration>(topic, node_);
+    first = active_ = std::make_shared<Registration>(topic, node_, port_->owner);
   }
   const topics::WiringLock lock;
   try
@@ -163,7 +163,8 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   {
     port_->latched = true;
     passed_ = message;
-    if (prepared_ && message.buf && (!active_ || active_->topic != prepared_->topic))
+    if (prepared_ && message.buf && (!active_ || active_->topic != prepared_->topic) &&
+        Leases::instance().mayPublish(port_->owner, prepared_->topic))
     {
       prepared_->send(message);  // roscpp has pushed what was latched when they connected
     }
@@ -206,7 +207,7 @@ void PortPublication::prepare(const std::string& topic, Clock::time_point deadli
     {
       return;
     }
-    registration = prepared_ = std::make_shared<Registration>(topic, node_);
+    registration = prepared_ = std::make_shared<Registration>(topic, node_, port_->owner);
     notice_ = Destinations::instance().add(topic);
   }
   const topics::WiringLock lock(deadline);

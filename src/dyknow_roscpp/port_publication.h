@@ -25,7 +25,8 @@ namespace dyknow
 class Registration : public std::enable_shared_from_this<Registration>
 {
 public:
-  Registration(std::string topic, ros::SubscriberCallbacksPtr node);
+  /// @param owner name of the node or nodelet
+  Registration(std::string topic, ros::SubscriberCallbacksPtr node, const std::string& owner);
 
   const std::string topic;
   /// The callbacks of roscpp, which call those of the node.

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 
+#include "leases.h"
 #include "port_publication.h"
 #include "problems.h"
 #include "symbols.h"
@@ -81,12 +82,22 @@ ros::SubscriberCallbacksPtr makeCallbacks()
 
 }  // namespace
 
-Registration::Registration(std::string topic, ros::SubscriberCallbacksPtr node)
+Registration::Registration(std::string topic, ros::SubscriberCallbacksPtr node, const std::string& owner)
   : topic(std::move(topic))
   , callbacks(makeCallbacks())
   , node_(std::move(node))
 {
-  callbacks->push_latched_message_ = node_->push_latched_message_;
+  if (node_->push_latched_message_)
+  {
+    callbacks->push_latched_message_ =
+        [topic = this->topic, owner, push = node_->push_latched_message_](const auto& link)
+    {
+      if (Leases::instance().mayPublish(owner, topic))
+      {
+        push(link);
+      }
+    };
+  }
 }
 
 void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptions options)
@@ -197,9 +208,9 @@ void Registration::connected(const ros::SubscriberLinkPtr& link)
     }
     links_.push_back(link);
   }
-  if (t_joining && node_->push_latched_message_)
+  if (t_joining && callbacks->push_latched_message_)
   {
-    node_->push_latched_message_(link);
+    callbacks->push_latched_message_(link);
   }
   queueForNode(node_->connect_, link);
 }

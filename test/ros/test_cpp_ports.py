@@ -643,6 +643,34 @@ class LeaseTest(CppCase):
         heard = self.enter(Heard("/claim", note=lambda message: message.seq))
         becomes(heard.copy, [0])
 
+    def test_a_latched_message_and_a_lease_that_has_run_out(self):
+        """Subscribers that come meanwhile do not get it, only the next one after a renewal."""
+        self.load("Source", "out", "/claim", latch=True, watched=True, count=1)
+        self.sends(1)
+        self.lease(RUN_OUT)
+        heard = self.enter(Heard("/claim", note=lambda message: message.seq))
+        becomes(lambda: report("/source")["watchers"], 1)
+        self.lease(60.0)
+        self.sends(2)
+        becomes(heard.copy, [1])
+
+    def test_a_latched_message_of_a_port_that_moves_to_a_claim(self):
+        """Neither what was latched before nor what is latched during the move comes there."""
+        ghost = rosgraph.Master("/ghost")
+        ghost.registerSubscriber("/claim", Header._type, "http://localhost:1")  # it never comes
+        self.addCleanup(ghost.unregisterSubscriber, "/claim", "http://localhost:1")
+        self.load("Source", "out", "/a", latch=True, count=1)
+        self.load("Source", "out", "/claim", "/other")
+        self.load("Sink", "in", "/claim")
+        self.sends(1)
+        self.lease(RUN_OUT)
+        mover = threading.Thread(target=self.mover("/source", "out"), args=("/claim",))
+        mover.start()
+        becomes(lambda: report("/source")["listeners"], 1)
+        self.sends(2)
+        mover.join()
+        self.assertEqual(report("/sink")["received"], 0)
+
     @unittest.skipIf(os.geteuid(), "root may mount, others may not")
     def test_it_ends_though_the_first_address_of_the_manager_refuses(self):
         """A node listens at one address, and its host's name may have several."""
