@@ -95,7 +95,7 @@ auto makeHandle(const ros::NodeHandle& handle, Options& options, Direction direc
   options.topic = key;
   const std::string before = port->datatype();
   auto made = make(options);
-  if (!before.empty() && port->datatype() != before)
+  if (port->datatype() != before)
   {
     announceChange(owner->name);
   }
