@@ -438,10 +438,10 @@ void NodeletProxy::apply(std::vector<Change> changes)
     (each.port->direction == Direction::IN ? inputs : outputs)[each.name] = each.port->topic();
   }
   preparation.commit(listener->announcement(std::move(inputs), std::move(outputs)));
-  followPorts(changes, deadline);
+  followPorts(changes);
 }
 
-void NodeletProxy::followPorts(const std::vector<Change>& changes, Clock::time_point deadline)
+void NodeletProxy::followPorts(const std::vector<Change>& changes)
 {
   // A handle that was made meanwhile is where its port was.
   for (const auto& change : changes)
@@ -452,7 +452,7 @@ void NodeletProxy::followPorts(const std::vector<Change>& changes, Clock::time_p
       {
         try
         {
-          end->prepare(change.topic, deadline);
+          end->prepare(change.topic, Clock::now() + PEERS_PATIENCE);
           end->commit([] {});
         }
         catch (const std::exception& error)  // the others have moved, and stay

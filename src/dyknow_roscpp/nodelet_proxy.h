@@ -89,7 +89,7 @@ private:
                  std::map<std::string, std::string>& types) const;
   void apply(std::vector<Change> changes);
   void setTopicsLocked(std::vector<Change>& changes);
-  void followPorts(const std::vector<Change>& changes, Clock::time_point deadline);
+  void followPorts(const std::vector<Change>& changes);
 
   const std::function<void(const std::string&)> on_change_;
   std::timed_mutex turn_lock_;
