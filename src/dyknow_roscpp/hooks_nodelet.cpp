@@ -124,18 +124,11 @@ void Nodelet::init(const std::string& name, const M_string& remapping_args, cons
     return;
   }
   dyknow::KeptQueues::instance().enter(this, {st_queue, mt_queue});
-  auto& registry = dyknow::Registry::instance();
-  const auto proxy = registry.enter(ros::names::resolve(name), remapping_args, {st_queue, mt_queue});
-  try
+  const auto proxy =
+      dyknow::Registry::instance().enter(ros::names::resolve(name), remapping_args, {st_queue, mt_queue});
   {
     const dyknow::RunningQueue running(st_queue);
-    next(this, name, remapping_args, my_argv, st_queue, mt_queue);
-  }
-  catch (...)
-  {
-    registry.leave(st_queue);
-    registry.leave(mt_queue);
-    throw;
+    next(this, name, remapping_args, my_argv, st_queue, mt_queue);  // if it throws, see removeQueue
   }
   proxy->loader = dyknow::Guards::loader();
   dyknow::offerServices(proxy);
@@ -155,7 +148,7 @@ std::uint32_t CallbackQueue::callOne()
 void CallbackQueueManager::removeQueue(const CallbackQueuePtr& queue)
 {
   static const auto next = dyknow::behind(&CallbackQueueManager::removeQueue);
-  // The loader does so before it destroys the nodelet, for each of its two queues.
+  // The loader does so before it destroys the nodelet, also if its onInit has failed, for each of its two queues.
   if (const auto gone = dyknow::Registry::instance().leave(queue.get()))
   {
     dyknow::withdrawServices(*gone);
