@@ -4,9 +4,9 @@
 #include "nodelet_proxy.h"
 
 #include <ros/console.h>
-#include <ros/exceptions.h>
 
 #include <algorithm>
+#include <stdexcept>
 #include <thread>
 
 #include "guards.h"
@@ -402,11 +402,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
         {
           preparation.add(end, change.topic, deadline);
         }
-        catch (const ros::Exception& error)
-        {
-          throw Refusal(shared::INVALID_CONFIGURATION, {name, error.what()});
-        }
-        catch (const Refusal& error)
+        catch (const std::runtime_error& error)  // of roscpp, or a Refusal
         {
           throw Refusal(shared::INVALID_CONFIGURATION, {name, error.what()});
         }

@@ -35,8 +35,9 @@ public:
   /// Registers on a topic (empty: on none) beside the present one. Raises an exception if that fails.
   virtual void prepare(const std::string& topic, Clock::time_point deadline) = 0;
 
-  /// Whether the peers that the master knows are connected to the prepared end.
-  virtual bool isReady() const = 0;
+  /// Whether the peers that the master knows are connected to the prepared end. The old topic of a
+  /// subscription is live until the new one is.
+  virtual bool isReady() const { return true; }
 
   /// @param announce called when the node may be notified: at the switch, before the first new message
   ///   is queued

@@ -148,7 +148,7 @@ void PortPublication::publish(const boost::function<ros::SerializedMessage()>& s
   }
   if (active_)
   {
-    traffic_.sent();
+    traffic_.count(Clock::now());
     active_->publish(serialise, message);
   }
   else
@@ -248,15 +248,12 @@ bool PortPublication::commit(const Announcement&)
 void PortPublication::cancel()
 {
   RegistrationPtr cancelled;
+  std::lock_guard<std::mutex> lock(message_lock_);
+  is_prepared_ = false;
+  notice_.reset();
+  cancelled.swap(prepared_);
+  if (cancelled)
   {
-    std::lock_guard<std::mutex> lock(message_lock_);
-    is_prepared_ = false;
-    notice_.reset();
-    cancelled.swap(prepared_);
-    if (!cancelled)
-    {
-      return;
-    }
     withdrawLater(cancelled);
   }
 }

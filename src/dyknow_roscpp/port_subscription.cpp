@@ -172,7 +172,7 @@ ros::CallbackInterface::CallResult PortSubscription::deliver(const Connection& l
       queueCallbacks(firstOf(queue_, latest)->connection, 1);
     }
     running_.push_back(std::this_thread::get_id());
-    traffic_.received(start);
+    traffic_.count(start);
   }
   struct Running
   {
@@ -234,11 +234,6 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
   {
     throw Refusal("cannot subscribe to '" + topic + "'");
   }
-}
-
-bool PortSubscription::isReady() const
-{
-  return true;  // the old topic is live until the new one is
 }
 
 bool PortSubscription::commit(const Announcement& announce)

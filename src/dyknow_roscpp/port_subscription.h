@@ -59,7 +59,6 @@ public:
 
   // End
   void prepare(const std::string& topic, Clock::time_point deadline) override;
-  bool isReady() const override;
   bool commit(const Announcement& announce) override;
   void cancel() override;
   std::string topic() const override;

@@ -23,16 +23,6 @@ double seconds(Clock::duration duration)
 
 }  // namespace
 
-void Traffic::sent()
-{
-  count(Clock::now());
-}
-
-void Traffic::received(Clock::time_point now)
-{
-  count(now);
-}
-
 void Traffic::processed(Clock::duration took)
 {
   counts_.busy += took;

@@ -28,11 +28,8 @@ public:
     double rate = 0.0;  ///< Hz over the last messages; 0 for less than two, and when none come any more
   };
 
-  /// Counts one message that goes out now.
-  void sent();
-
-  /// Counts one message whose callback begins.
-  void received(Clock::time_point now);
+  /// Counts one message that goes out now, or whose callback begins.
+  void count(Clock::time_point now);
 
   /// The callback of a message that was counted took so long.
   void processed(Clock::duration took);
@@ -50,7 +47,6 @@ private:
     Clock::time_point time;
   };
 
-  void count(Clock::time_point now);
   double rate() const;
   /// Whether message `number` came so long before `now` that the stream had stopped.
   bool isPause(std::uint64_t number, Clock::time_point now) const;
