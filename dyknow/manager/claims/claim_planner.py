@@ -34,14 +34,15 @@ from dyknow.manager.planning.problem import (
     TaggedStream,
     Verdicts,
     Wishes,
+    meets,
     required_tags,
     ways_to_meet,
 )
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
-from dyknow.manager.specifications.tags import Bindings, Subsumption, Term
+from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, read_tags
 from dyknow.model.graph import State
-from dyknow.model.transformation import VERDICT, Transformation
+from dyknow.model.transformation import OUT, VERDICT, Transformation
 
 #: The demand for a header, beside or instead of a ROS type, for error messages.
 STAMPED = "a type that begins with a header (for max_age)"
@@ -205,8 +206,41 @@ class ClaimPlanner:
         """Plan; ``lenient`` as for `propose`."""
         answer = self._solved(situation)
         if isinstance(answer, NoPlan) and lenient and situation.paused:
-            return self._solved(situation._replace(paused=NO_LABELS))
-        return answer
+            answer = self._solved(situation._replace(paused=NO_LABELS))
+        return self._with_absent(situation, answer) if isinstance(answer, NoPlan) else answer
+
+    def _with_absent(self, situation: Situation, answer: NoPlan) -> NoPlan:
+        """Name the described topics and nodes that supply a missing demand once they are there."""
+        library, running = self._manager.library, self._world().described_nodes
+        absent = {
+            f"topic {each.source} is not published": each
+            for each in self._world().descriptions
+            if each.source not in self.published
+        }
+        for name in library.nodes():
+            node = library.of_node(name)
+            if node is not None and node.label not in running:
+                absent[f"node {name} does not run"] = node
+        found = {
+            demand: tuple(
+                why
+                for why, each in absent.items()
+                if each.label not in situation.exclude
+                and any(
+                    port.direction == OUT
+                    and meets(read_tags(port.tags), port.datatype, demand, self._ontology)
+                    for port in each.ports
+                )
+            )
+            for demand in answer.missing
+        }
+        return answer._replace(
+            missing=tuple([demand for demand, causes in found.items() if not causes]),
+            obstacles=(
+                *answer.obstacles,
+                *(Obstacle(demand, causes) for demand, causes in found.items() if causes),
+            ),
+        )
 
     def _unavailable(
         self, claim: Claim, situation: Situation, without: AbstractSet[str]
@@ -552,7 +586,10 @@ class ClaimPlanner:
             return answer
         # The planner has connected a nodelet elsewhere whose stream it uses as well.
         own = tuple(each for each in situation.own if each.name not in used)
-        return self._searched(situation._replace(own=own))
+        second = self._searched(situation._replace(own=own))
+        if isinstance(second, NoPlan):
+            return second
+        return second._replace(least_cost=min(second.least_cost, answer.least_cost))
 
     @contextlib.contextmanager
     def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:

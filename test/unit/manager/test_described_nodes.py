@@ -151,6 +151,12 @@ def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) ->
     robot.tidy()
 
 
+def test_a_node_that_does_not_run_is_named(robot: Robot) -> None:
+    robot.manager.add_transformation(LOCALIZATION.replace("FieldPosition", "Place"))
+    with pytest.raises(NoPlanFound, match="node /robot/where does not run"):
+        robot.acquire("Place(ball)")
+
+
 def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
     robot.manager.remove_transformation("localization")
     robot.manager.add_transformation(LOCALIZATION)
