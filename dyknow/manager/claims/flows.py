@@ -119,6 +119,11 @@ class Flow:
         """Whether any message has come."""
         return self.last.messages > 0
 
+    @property
+    def is_latched(self) -> bool:
+        """Whether its last message is kept for subscribers, so that it may be the only one."""
+        return self.last.latched and self.begun
+
     def add(self, count: Count, window: float) -> None:
         """Take a count in, and keep those of a window."""
         self.is_sending = count.messages > self.last.messages

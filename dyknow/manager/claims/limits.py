@@ -183,20 +183,29 @@ class Silence(Limit):
 
     def judge(self, stream: Stream, flows: Flows, now: float) -> list[Judgement]:
         limit = self.of(stream.claim)
-        found = []
+        found, latched = [], []
         for place in sorted(stream.topics.keys() & flows.keys()):
             flow = flows[place]
             allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
+            suppliers = list(stream.suppliers(place))
+            moving = [
+                senders
+                for senders in suppliers
+                if not all(each in flows and flows[each].is_latched for each in senders)
+            ]
             is_fed = all(
                 any(
                     each in flows and flows[each].came_after >= flow.quiet_from for each in senders
                 )
-                for senders in stream.suppliers(place)
+                for senders in moving or suppliers
             )
             if flow.silence > allowed and is_fed:
                 what = f"{described(place)} was silent for longer than {limit:g} s"
-                found.append(Judgement(place, limit, what))
-        return found
+                is_latched = flow.is_latched and place != stream.goal
+                (latched if is_latched else found).append(Judgement(place, limit, what))
+        # What is latched may have sent all that it will: it is not to blame while the rest flows.
+        goal = flows.get(stream.goal)
+        return found or ([] if goal is not None and goal.silence <= limit else latched)
 
 
 class _Cause(NamedTuple):

@@ -49,6 +49,7 @@ class _TopicCounter(Listening):
         self._state_lock = state_lock("message counter")
         self._messages = 0
         self._age: float | None = None
+        self._is_latched = False
         self._is_age_wanted = True
         self._closed = False
         self._subscriber: Any | None = None
@@ -60,7 +61,7 @@ class _TopicCounter(Listening):
         now = time.monotonic()
         with self._state_lock:
             self._is_age_wanted = True
-            return Count(self._messages, now, now, age=self._age)
+            return Count(self._messages, now, now, self._is_latched, age=self._age)
 
     def close(self) -> None:
         self._closed = True
@@ -81,6 +82,7 @@ class _TopicCounter(Listening):
     def _add_one(self, message: Any) -> None:
         with self._state_lock:  # rospy calls from a thread for each publisher
             self._messages += 1
+            self._is_latched = message._connection_header.get("latching") == "1"
             is_age_wanted, self._is_age_wanted = self._is_age_wanted, False
         if is_age_wanted:
             self._age = age_of_serialised(message)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import List
 
 import pytest
-from unit.manager.field import CHAIN, FIRST_MESSAGE, POINT, Field
+from unit.manager.field import CHAIN, FIRST_MESSAGE, POINT, Field, transformation
 
 from dyknow.errors import HostTimeout
 from dyknow.model.streams import NO_MESSAGE, ClaimState
@@ -216,3 +216,36 @@ def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field
     field.settle(2.0)
     assert "" in details(field)
     assert [each.topic for each in field.host.listeners] == ["/referee/ball"]
+
+
+def test_a_latched_input_may_be_silent_while_the_stream_flows(field: Field) -> None:
+    field.host.sources.update(
+        {
+            "lab/Map": [("map", "out", POINT)],
+            "lab/Scan": [("scan", "out", POINT)],
+            "lab/Place": [("map", "in", POINT), ("scan", "in", POINT), ("pose", "out", POINT)],
+        }
+    )
+    for label, ports, tags in (
+        ("map", "out map", "map Map(floor)"),
+        ("scan", "out scan", "scan Scan(floor)"),
+        (
+            "place",
+            "in map, in scan, out pose",
+            "map Map(floor); scan Scan(floor); pose Pose(robot)",
+        ),
+    ):
+        source = f"lab/{label.title()}"
+        field.manager.add_transformation(transformation(label, source, ports, tags))
+    field.acquire("Pose(robot)", max_silence=1.0)
+    field.settle(2.0)
+    field.host.nodelet("/map_1").latched.add("map")
+    field.host.silent.add("/map_1")
+    field.host.topics.add("/map_1/map")  # the messages that are there
+    field.settle(12.0)
+    assert field.reasons() == ["requested", FIRST_MESSAGE]
+    field.host.silent.add("/place_1")
+    field.settle(12.0)
+    assert "/place_1 was silent for longer than 1 s" in "".join(field.reasons())
+    assert {"/map_1", "/scan_1"} <= set(field.host.running)
+    assert "/place_1" not in field.host.running
