@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Callable, Collection, Mapping, Sequence
 
 import rospy
 
-from dyknow.errors import DyKnowError
+from dyknow.errors import BadParameter, DyKnowError
 from dyknow.manager.library import Library
 from dyknow.manager.store import LABELS_OF_FILES, Store
 from dyknow.nodelet.module_files import Stamp, stamps
@@ -115,15 +115,16 @@ class LibraryFiles:
         """Read the ontology at the start; None without files.
 
         Raises:
-            OntologyError: a file that a parameter names cannot be used. With one of a package, the
-                others are used.
+            BadParameter: a file that ~ontologies names cannot be used. Without one of a package,
+                the other files are used.
         """
         own, paths = self._settings.ontologies, self._ontologies(self._exported())
         try:
             return self._read(paths)
         except DyKnowError as error:
             if len(paths) == len(own):
-                raise
+                expected = f"files that can be used; {error}"
+                raise BadParameter("~ontologies", " ".join(own), expected) from error
             rospy.logerr("ontologies of packages are not used: %s", error)
         found = self._read(own)
         self._related = paths, stamps(paths)

@@ -88,7 +88,7 @@ _PUBLISH = "publishing the model"
 _SWITCH_INTERVAL = 0.0005
 #: Parameters that the command line sets for one life. The parameter server would keep them for the
 #: next manager of the name; those of a launch file or of ``rosparam`` are meant for all lives.
-_OF_ONE_LIFE = ("transformations", "wiring", "keep")
+_OF_ONE_LIFE = ("transformations", "ontologies", "catalogues", "wiring", "keep")
 #: States of a claim whose stream flows as far as is known.
 _RELIED_ON = (ClaimState.ACTIVE, ClaimState.DEGRADED)
 

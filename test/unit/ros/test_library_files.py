@@ -11,7 +11,7 @@ import pytest
 from clocks import HandClock
 from unit.manager.field import LIBRARY, Field, transformation
 
-from dyknow.errors import OntologyFileError
+from dyknow.errors import BadParameter
 from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState
 from dyknow.ros.manager import library_files
@@ -337,7 +337,7 @@ def test_at_the_start_a_wrong_ontology_of_a_parameter_is_an_error(tmp_path, logg
     files = Files(tmp_path, ["views.xml"], ["lab.ttl"])
     files.write("views.xml", VIEWS)
     files.write("lab.ttl", "nonsense")
-    with pytest.raises(OntologyFileError):
+    with pytest.raises(BadParameter, match="'~ontologies'.*is not valid turtle"):
         files.begin()
     files.write("lab.ttl", ONTOLOGY)
     files.write("package.ttl", "nonsense")
