@@ -136,6 +136,8 @@ class Lifecycle:
         #: Where they run.
         self.hosts = HostTable(context.host, context.clock.now)
         self._on_replaced = context.keeper.on_replaced
+        #: The code of libraries in C++, by the incarnation that has loaded them and the source.
+        self._libraries: dict[tuple[str, str], str] = {}
 
     def acquit(self, label: str) -> None:
         """Forget the failures of a transformation, which was replaced."""
@@ -391,7 +393,9 @@ class Lifecycle:
                 and state is not None
                 and each.incarnation == state.incarnation
             ]
-            code = next(filter(None, loaded), "")
+            incarnation = state.incarnation if state is not None else ""
+            known = self._libraries.get((incarnation, source), "")
+            code = next(filter(None, loaded), known)
         code = code or self._host.code_of(record.manager, record.transformation, anew=True)
         return replace(record, code=code)
 
@@ -424,6 +428,10 @@ class Lifecycle:
             is_fixed=state is not None and not state.rewirable,
             heard=NOTHING_HEARD,
         )
+        if record.kind is NodeletKind.CPP:  # also after the end of the nodelet
+            alive = {each.incarnation for each in self._host.states().values()}
+            kept = {key: code for key, code in self._libraries.items() if key[0] in alive}
+            self._libraries = {(record.incarnation, transformation.source): record.code, **kept}
         if record.is_fixed:
             return replace(record, ports=declared_ports(record))
         if transformation.type == NODE:

@@ -112,6 +112,12 @@ def test_a_library_in_cpp_is_loaded_again_by_a_new_process_alone(world: World) -
     world.spawn("native", "two")
     world.manager.look()
     assert all(each.status.outdated for each in world.manager.graph.all())
+    for name in ("one", "two"):
+        world.manager.destroy(name)
+    for name in ("one", "two"):  # by the library that is loaded
+        world.spawn("native", name)
+    world.manager.look()
+    assert all(each.status.outdated for each in world.manager.graph.all())
     done = world.manager.restart(manager)
     assert (done.names, done.remarks) == (("/one", "/two"), "")
     world.manager.look()
