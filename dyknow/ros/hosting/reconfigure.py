@@ -38,5 +38,7 @@ def reconfigure(master: Master, nodelet: str, parameter: Parameter) -> bool:
         answer = ServiceClient(master, service, srv.Reconfigure).call(_TIMEOUT, config)
     except (HostError, PeerTimeout, LookupError):
         return False
+    if field == "ints" and parameter.name in {each.name for each in answer.config.doubles}:
+        return reconfigure(master, nodelet, parameter._replace(type="double"))  # C++ is strict
     taken = {each.name: each.value for each in getattr(answer.config, field)}
     return bool(taken.get(parameter.name) == value)
