@@ -87,6 +87,11 @@ class HostTable:
             raise HostError(f"unknown host '{name}'; known: {', '.join(known)}")
         if not any(self.managers(name, kind)):
             running = [e for e in self._host.states().values() if e.alive and e.host == name]
+            if any(each.kind is kind and _answers(each) for each in running):
+                raise HostError(
+                    f"the nodelet managers of host '{name}' for {kind.title}s have no live ports: "
+                    "name one, or start one of 'rosrun dyknow cpp_nodelet_manager' there"
+                )
             if any(map(_answers, running)):
                 raise HostError(
                     f"no nodelet manager on host '{name}' hosts {kind.title}s; start one there, "

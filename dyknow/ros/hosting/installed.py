@@ -64,7 +64,8 @@ class NodeletTypes:
 def _explanation(source: str, declared: Iterable[str]) -> str:
     return (
         f"no package declares a nodelet type '{source}': expected it in a <dyknow plugin> or a "
-        "<nodelet plugin> export of a package on ROS_PACKAGE_PATH" + did_you_mean(source, declared)
+        "<nodelet plugin> export of a package on the ROS_PACKAGE_PATH of the DyKnow manager, for "
+        "nodelets on other hosts too" + did_you_mean(source, declared)
     )
 
 

@@ -92,6 +92,15 @@ def test_what_a_host_cannot_run_is_refused(
 # Free
 
 
+def test_a_host_with_a_stock_nodelet_manager_alone_says_so(world: World) -> None:
+    world.host.add("/stock", NodeletKind.CPP, "rover")
+    process = world.host.processes["/stock"]
+    process.state = replace(process.state, rewirable=False)
+    world.manager.look()
+    with pytest.raises(DyKnowError, match="for C.. nodelets have no live ports"):
+        world.spawn("native", "/a", manager="@rover")
+
+
 def spawned_on(world: World, topic: str, name: str = "/r") -> str:
     world.spawn("relay", name, config={"in": topic})
     place = host_of(world, name)
