@@ -53,6 +53,8 @@ class GarbageCollector:
             if not record.claimed or record.name in self._lock.reserved:
                 continue
             is_needed = record.name in world.needed
+            if record.is_protected and not is_needed:
+                continue  # its user connects it
             unneeded = [
                 port.name
                 for port in movable_ports(record)

@@ -189,6 +189,28 @@ def test_parts_that_users_destroy_or_protect(field: Field) -> None:
     assert field.host.running == []
 
 
+def test_a_protected_part_that_no_claim_needs_is_left_to_its_user(field: Field) -> None:
+    claim = field.acquire("YUV(field)").claim
+    name, port = claim.goal
+    field.manager.set_protection(name, True)
+    field.reconciler.release(claim.claim_id)
+    field.settle()
+    field.manager.connect([(name, {port: "/mine"})])
+    field.settle(10.0)
+    assert field.manager.graph.get(name).topics[port] == "/mine"
+    field.manager.set_protection(name, False)
+    field.tidy()
+    assert field.host.running == []
+
+
+def test_a_topic_that_is_not_published_is_named(field: Field) -> None:
+    field.host.topics.clear()
+    with pytest.raises(NoPlanFound) as refusal:
+        field.acquire()
+    assert "topic /joint_states is not published" in str(refusal.value)
+    assert "did you mean" not in str(refusal.value)
+
+
 def test_a_part_that_goes_during_a_repair_is_replaced_too(field: Field) -> None:
     field.acquire()
     field.settle(5.0)
