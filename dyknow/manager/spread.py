@@ -175,7 +175,6 @@ class Spread:
             f"{load.share(best.name):.2f} of the {load.cpu:.2f} cores that {source.name} takes"
         )
         _log.info("%s", text)
-        self._report(text)
         self._usage.clear()
         self._stays.failed(best.name)
         try:
@@ -183,6 +182,7 @@ class Spread:
         except DyKnowError as error:
             _log.error("%s", error)
         else:
+            self._report(text)
             left = self._left.get(best.name, frozenset())
             self._left[best.name] = left | {source.incarnation}
 

@@ -57,7 +57,7 @@ class SimulatedHost(FakeHost):
         """Take the ports of sources from their transformations."""
         for each in transformations:
             if each.type == TOPIC:
-                self.topics.add(each.source)
+                self.topics.add(names.join("/", each.source))
             elif not each.is_described:
                 ports = {port[0]: port for port in self.sources.get(each.source, ())}
                 ports.update((port.name, port[:3]) for port in each.ports)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import pytest
@@ -170,11 +171,13 @@ def test_nodelet_managers_are_started_up_to_the_number_of_cores():
 
 @pytest.mark.parametrize("step", ["note", "park", "give"])
 def test_one_that_cannot_move_runs_on_and_is_tried_after_a_pause_that_doubles(step, caplog):
+    caplog.set_level(logging.INFO)
     robot = Robot(a=0.8, b=0.8)
     robot.host.fail_at(step)
     for seconds, attempts in ((20, 2), (60, 4), (60, 4), (60, 6), (180, 6)):
         robot.run(seconds)
-        assert len(robot.told) == attempts
+        assert caplog.text.count(" is moved from ") == attempts
+        assert robot.told == []
         assert robot.world.states() == {"/a": "RUNNING", "/b": "RUNNING"}
     assert "'/a' is not moved: it is broken" in caplog.text
     assert set(robot.places().values()) == {robot.first}
