@@ -183,7 +183,8 @@ class Silence(Limit):
 
     def judge(self, stream: Stream, flows: Flows, now: float) -> list[Judgement]:
         limit = self.of(stream.claim)
-        found, latched = [], []
+        found: list[Judgement] = []
+        latched: list[Judgement] = []
         for place in sorted(stream.topics.keys() & flows.keys()):
             flow = flows[place]
             allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
