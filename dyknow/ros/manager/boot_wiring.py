@@ -11,7 +11,6 @@ purpose forgets the nodelets, and the file with them.
 from __future__ import annotations
 
 import hashlib
-import os
 import time
 from typing import Callable
 
@@ -48,7 +47,7 @@ class BootWiring:
         Raises:
             BadParameter: it cannot be used. If an earlier one was loaded, that is logged alone.
         """
-        self._path = os.path.abspath(os.path.expanduser(path)) if path else ""
+        self._path = path
         self._store = store
         self._load = load
         self._backoff = Backoff(clock, _FIRST_PAUSE, tolerated=0)

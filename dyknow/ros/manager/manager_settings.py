@@ -125,12 +125,12 @@ class ManagerSettings:
                 for name in _strings("nodelet_managers")
             ),
             num_nodelet_managers=_integer("num_nodelet_managers", 1),
-            state_dir=_folder("state_dir"),
-            ontologies=_strings("ontologies"),
-            catalogues=_strings("catalogues"),
+            state_dir=_path("state_dir"),
+            ontologies=_paths("ontologies"),
+            catalogues=_paths("catalogues"),
             language=_string("language", cls.language),
-            transformations=_strings("transformations"),
-            wiring=_string("wiring"),
+            transformations=_paths("transformations"),
+            wiring=_path("wiring"),
             keep=_bool("keep"),
             use_exports=_bool("use_exports", cls.use_exports),
             spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, 0.001, _MOST_PATIENCE),
@@ -254,13 +254,26 @@ def _string(name: str, default: str = "") -> str:
     return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
 
 
-def _folder(name: str) -> str:
-    """Read a folder, and make the parameter absolute: others may read it in another folder."""
+def _path(name: str) -> str:
+    """Read a path, and make the parameter absolute: it may be read again in another folder."""
     given = _string(name)
-    folder = given and os.path.abspath(os.path.expanduser(given))
-    if folder != given:
-        rospy.set_param(f"~{name}", folder)
-    return folder
+    path = given and _absolute(given)
+    if path != given:
+        rospy.set_param(f"~{name}", path)
+    return path
+
+
+def _paths(name: str) -> tuple[str, ...]:
+    """Read paths, and make the parameter absolute as well."""
+    given = _strings(name)
+    paths = tuple(map(_absolute, given))
+    if paths != given:
+        rospy.set_param(f"~{name}", list(paths))
+    return paths
+
+
+def _absolute(path: str) -> str:
+    return os.path.abspath(os.path.expanduser(path))
 
 
 def _one_of(name: str, *values: str) -> str:

@@ -131,3 +131,23 @@ def test_a_manager_makes_its_state_dir_absolute(tmp_path, monkeypatch):
     assert (
         ManagerSettings.read().state_dir == stored["~state_dir"] == os.path.expanduser("~/state")
     )
+
+
+def test_a_manager_makes_the_paths_of_its_files_absolute(tmp_path, monkeypatch):
+    stored = {
+        "~ontologies": ["lab.ttl"],
+        "~catalogues": "/c.xml",
+        "~transformations": "a.xml ~/b.xml",
+        "~wiring": "robot.xml",
+    }
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: stored.get(name, default))
+    monkeypatch.setattr(rospy, "set_param", stored.__setitem__)
+    settings = ManagerSettings.read()
+    assert settings.ontologies == (str(tmp_path / "lab.ttl"),)
+    assert settings.transformations == (str(tmp_path / "a.xml"), os.path.expanduser("~/b.xml"))
+    assert settings.wiring == str(tmp_path / "robot.xml")
+    assert stored["~catalogues"] == "/c.xml", "as it was given"
+    monkeypatch.chdir("/")
+    assert ManagerSettings.read() == settings
