@@ -36,7 +36,7 @@ _SPECIFICATION = f"""\
     "and the model of the manager. Each writes a bag on its host. With --black-box start one.",
     "dyknow record --black-box\ndyknow record --black-box '/camera/*' /odom\n"
     "dyknow record\ndyknow record black_box",
-    argument("names", "NAME", "nodelets of type dyknow/BlackBox (default: all)", nargs="*"),
+    argument("names", "NAME", "black boxes (default: all of the manager)", nargs="*"),
     argument(
         "--black-box",
         "TOPIC",

@@ -149,8 +149,8 @@ class ShellClient(ManagerClient):
         return bool(self._on_master(lambda: self._looked_up("lookupService", service)))
 
     def black_boxes(self) -> list[str]:
-        """Names of the nodelets that keep the last seconds of streams."""
-        return self._nodes_with(_WRITE)
+        """Names of the nodelets that keep the last seconds of the manager's streams."""
+        return [each for each in self._nodes_with(_WRITE) if self._is_of_manager(each)]
 
     def write_bag(self, nodelet: str) -> str:
         """Let a black box write a bag, and return its path on the nodelet's host."""
@@ -164,6 +164,10 @@ class ShellClient(ManagerClient):
         return names.parent(name) == self.namespace and bool(_OWN_MANAGER.match(name))
 
     # Inside
+
+    def _is_of_manager(self, box: str) -> bool:
+        given = self.stored_parameters(box, ["manager"]).get("manager", "dyknow_manager")
+        return names.complete(str(given), names.parent(box), box) == self.manager
 
     def _next_model(self, seconds: float, condition: Callable[[Model], bool]) -> Model | None:
         """Read the topic of the model, which is latched, until a message meets a condition."""

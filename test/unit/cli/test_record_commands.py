@@ -13,6 +13,7 @@ from unit.cli.fake_client import Outcome, run
 
 from dyknow.errors import Refused
 from dyknow.nodelets.recording import KeptMessage, write_bag
+from dyknow.ros.shell.shell_client import ShellClient
 
 DETAIL = "its process is gone"
 ACTIVE, RECOVERING = StreamStatus.ACTIVE, StreamStatus.RECOVERING
@@ -125,6 +126,23 @@ def test_a_black_box_is_started_without_a_name(client, capsys):
     with pytest.raises(SystemExit):
         run(client, "record box --black-box")
     assert "expected it without names" in capsys.readouterr().err
+
+
+def test_the_black_boxes_are_those_of_the_manager(monkeypatch):
+    given = {
+        "/r1/box": {"manager": "/r1/dyknow_manager"},
+        "/r2/box": {"manager": "/r2/dyknow_manager"},
+        "/r2/default": {},
+        "/r2/relative": {"manager": "dyknow_manager"},
+    }
+    services = [[f"{name}/write_bag", [name]] for name in given]
+
+    def ask(call, name=""):
+        return given[name] if call == "getParam" else [[], [], services]
+
+    client = ShellClient("/r2/dyknow_manager")
+    monkeypatch.setattr(client._master, "ask", ask)
+    assert client.black_boxes() == ["/r2/box", "/r2/default", "/r2/relative"]
 
 
 @pytest.mark.parametrize("command", ["record", "why"])
