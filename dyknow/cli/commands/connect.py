@@ -113,7 +113,7 @@ def _move_to_topic(
 ) -> PortMove:
     """Prepare to connect a port of this direction to a topic."""
     nodelet = client.get_graph().nodelet(topic) if client.is_nodelet(topic) else None
-    if nodelet is not None:
+    if nodelet is not None and not any(topic in each for each in client.topics_in_use()):
         other = OUT if direction == IN else IN
         ports = ", ".join(p.name for p in by_name(nodelet.ports) if p.direction == other)
         raise CannotConnect(

@@ -86,6 +86,11 @@ def test_a_port_that_is_connected_keeps_its_topic(pair):
     assert run(pair, "connect cam:image /raw --json").json["in"] is None
 
 
+def test_a_topic_may_have_the_name_of_a_node(pair):
+    pair.ordinary.add("/cam")
+    assert run(pair, "connect /cam robot/relay:in").lines == ["/cam -> /robot/relay:in"]
+
+
 def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(pair):
     image = "sensor_msgs/Image"
     pair.world.host.stock = False
