@@ -84,7 +84,7 @@ def unknown_arguments(
     return [
         f"no launch file has an argument '{name}'{did_you_mean(name, declared)}"
         for name in (each.partition(":=")[0] for each in given)
-        if not name.startswith("_") and name not in spoken_of
+        if not name.startswith("_") and name not in spoken_of | declared
     ]
 
 

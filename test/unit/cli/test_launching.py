@@ -295,10 +295,11 @@ def test_errors_have_file_and_line(folder, capsys, lines, message):
 def test_arguments_that_no_file_speaks_of(folder, capsys):
     """roslaunch ignores them, so they are not an error."""
     inner = write(folder / "inner.launch", '<arg name="inner" default=""/>')
-    lines = ('<arg name="camera" default=""/>', f'<include file="{inner}" pass_all_args="true"/>')
+    lines = [f'<arg name="{name}" default=""/>' for name in ("camera", "use-sim")]
+    lines.append(f'<include file="{inner}" pass_all_args="true"/>')
     outer = write(folder / "outer.launch", *lines)
-    words = ["launch", str(outer), "camera:=1", "inner:=2", "__name:=x", "camra:=3", "--dry-run"]
-    assert main(words) == 0
+    given = ["camera:=1", "use-sim:=1", "inner:=2", "__name:=x", "camra:=3"]
+    assert main(["launch", str(outer), *given, "--dry-run"]) == 0
     expected = "dyknow: warning: no launch file has an argument 'camra'; did you mean camera?\n"
     assert capsys.readouterr().err == expected
 
