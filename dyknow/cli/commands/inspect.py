@@ -314,7 +314,8 @@ def _milliseconds(duration: float | None) -> str | None:
     "Examine the system: names of hosts, dead registrations, processes that another ROS "
     "master knows, nodelets and streams that fail or hang, unknown sources "
     "and types, parameters that nothing reads, processes of another version, file "
-    "descriptors and disks. Nothing is changed. The exit code is 1 if anything was found.",
+    "descriptors and disks. Sources, types and the disk of the state are examined on the "
+    "manager's machine alone. Nothing is changed. The exit code is 1 if anything was found.",
     "dyknow doctor\ndyknow doctor --quiet\n"
     "dyknow doctor --json | jq -r '.findings[] | select(.is_error) | .cure'",
     flag("-q --quiet", "do not list the checks without a finding"),

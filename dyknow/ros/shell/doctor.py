@@ -164,6 +164,12 @@ class Doctor:
             return dict(zip(found, pool.map(poll, found)))
 
     @cached_property
+    def _is_here(self) -> bool:
+        """Whether the DyKnow manager runs on this machine, or nowhere."""
+        node = self.nodes.get(self.client.manager)
+        return node is None or not node.uri or rosgraph.network.is_local_address(node.host)
+
+    @cached_property
     def model(self) -> Model:
         """The model with its transformations; empty where the manager does not answer."""
         try:
@@ -310,6 +316,8 @@ class Doctor:
 
     def library(self) -> Iterator[Finding]:
         """Find transformations whose nodelet type, program or message type is not installed."""
+        if not self._is_here:
+            return
         for problem in missing_here("library", self.model.transformations):
             yield _warning(
                 "library",
@@ -377,10 +385,11 @@ class Doctor:
     def disks(self) -> Iterator[Finding]:
         """Find disks of the durable state and of the logs that are nearly full."""
         seen: set[int] = set()
-        for what, path in (
-            ("the state of the DyKnow manager", os.path.dirname(self._state_path(""))),
-            ("the logs of ROS", rospkg.get_log_dir()),
-        ):
+        places = [("the logs of ROS", rospkg.get_log_dir())]
+        if self._is_here:
+            state = os.path.dirname(self._state_path(""))
+            places.insert(0, ("the state of the DyKnow manager", state))
+        for what, path in places:
             path = os.path.abspath(path)  # the folder above a relative one is ""
             while not os.path.exists(path):
                 path = os.path.dirname(path)

@@ -81,6 +81,19 @@ def test_the_disk_of_a_relative_state_dir(tmp_path, monkeypatch):
     assert found[0].subject == str(tmp_path)
 
 
+@pytest.mark.parametrize(("host", "is_here"), [("127.0.0.1", True), ("192.0.2.1", False)])
+def test_the_machine_of_the_manager_is_examined_there_alone(host, is_here, tmp_path):
+    asked = []
+    examined = doctor(
+        NodeFacts("/dyknow_manager", f"http://{host}:1/"),
+        parameters=Parameters(state_dir=str(tmp_path)),
+        disk_usage=lambda path: asked.append(path) or LITTLE,
+    )
+    assert bool(list(examined.library())) is is_here
+    list(examined.disks())
+    assert (str(tmp_path) in asked, len(asked)) == (is_here, 1 + is_here)
+
+
 def test_a_check_that_breaks_hides_no_other(monkeypatch):
     def breaks():
         raise ValueError("some")
