@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import time
 
 from dyknow.cli import completion
@@ -74,6 +75,10 @@ def _why(arguments: argparse.Namespace, shell: Shell) -> None:
     from dyknow.ros.shell.story import moments  # rosbag takes its time to import
 
     path = arguments.bag or shell.client.write_bag(_boxes(shell)[0])
+    if not (arguments.bag or os.path.exists(path)):
+        raise DyKnowError(
+            f"{path} is on the host of the black box: run 'dyknow why' there, or copy it for --bag"
+        )
     found = moments(path, arguments.claim)
     rows = [(_clock(each.when), each.subject, each.what) for each in found]
     value = {"bag": path, "moments": [each._asdict() for each in found]}

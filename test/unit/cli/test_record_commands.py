@@ -75,6 +75,12 @@ def test_why_tells_the_story_of_a_claim(client, bag):
     assert subjects == {"/close", "/camera", "/other", "c1", "c2"}
 
 
+def test_a_bag_on_another_host_is_no_missing_file(client):
+    client.boxes["/box"] = "/nowhere/box.bag"
+    told = run(client, "why")
+    assert (told.code, "box.bag is on the host of the black box" in told.err) == (1, True)
+
+
 def test_why_says_what_a_bag_does_not_have(client, bag, tmp_path):
     (tmp_path / "no.bag").write_text("nothing")
     for claim, path, said in (
