@@ -24,7 +24,7 @@ class MasterState;
 
 /// A change is checked as a whole, then applied as a whole. Every method is safe from any thread.
 ///
-/// Locks: `turn_lock_` is held over a reconfiguration, which waits for the ROS master at most 1 s, for peers
+/// Locks: `turn_lock_` is held over a reconfiguration, which waits for the ROS master at most 5 s, for peers
 /// at most 0.5 s, and for no callback; `state_lock_` guards the tables of ports and remappings. Neither lock
 /// is held while an end is opened or closed.
 class NodeletProxy
