@@ -93,7 +93,11 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
   {
     return std::find_if(known.begin(), known.end(),
                         [&label, direction](const auto& each)
-                        { return each.port->name.label == label && each.port->direction == direction; });
+                        {
+                          const auto& port = *each.port;  // of one to come, the direction is not known
+                          return port.name.label == label &&
+                                 (port.direction == direction || port.resolved.empty());
+                        });
   };
   std::string first = topicAtStart(topic);
   // What image_transport puts beside an image goes where that was moved, unless the load puts it elsewhere.

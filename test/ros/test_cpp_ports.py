@@ -424,6 +424,13 @@ class PortTest(CppCase):
         self.assertEqual(width_on("/camera_out/image_raw"), 8)
         self.has_topics("/crop", **{"camera/camera_info": "/cam/camera_info"})
 
+    def test_what_comes_before_its_image_is_where_the_image_was_moved(self):
+        """A publisher has the topics of image_transport in the order of their plug-ins."""
+        self.load("Source", "late", "/source/disconnected/late", late=True)
+        connect("/source", late="/cam/x")
+        start("/source")
+        self.has_topics("/source", **{"late": "/cam/x", "late/compressed": "/cam/x/compressed"})
+
     def test_a_dynamic_reconfigure_server(self):
         self.enter(Camera("/cam", 8))
         self.load("image_proc/resize", "image", "/cam/image_raw", "/resize")

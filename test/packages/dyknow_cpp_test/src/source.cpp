@@ -12,6 +12,7 @@
 #include <sstream>
 #include <string>
 #include <thread>
+#include <vector>
 
 namespace dyknow_cpp_test
 {
@@ -56,6 +57,12 @@ private:
       sender_.join();
     }
     const auto& private_nh = getPrivateNodeHandle();
+    if (private_nh.param("late", false))
+    {
+      const std::string late = getNodeHandle().resolveName("late");
+      late_ = {getNodeHandle().advertise<std_msgs::Header>(late + "/compressed", 1),
+               getNodeHandle().advertise<std_msgs::Header>(late, 1)};
+    }
     sender_ =
         std::thread(&Source::send, this, private_nh.param("count", 1), private_nh.param("rate", 1000.0));
     answer.success = true;
@@ -96,6 +103,7 @@ private:
   }
 
   ros::Publisher out_;
+  std::vector<ros::Publisher> late_;
   ros::ServiceServer start_;
   ros::ServiceServer report_;
   bool is_by_value_ = false;  // its messages are serialised within the process too
