@@ -232,6 +232,10 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
       const std::string topic = wanted.empty() ? "" : names::topicOf(wanted, name);
       for (const auto& port : found)
       {
+        if (port->name.image == text && named.count(port->name.label) > 0)
+        {
+          continue;  // it has an entry of its own
+        }
         if (is_changed(port) && named[text] == 1)  // by both of its names
         {
           throw Refusal(shared::DUPLICATE_PORT, {text});

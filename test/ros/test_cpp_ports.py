@@ -287,6 +287,7 @@ class PortTest(CppCase):
                 "left/image": "/right/image",
                 "resolved": "/found",
                 "resolved/compressed": "/found/compressed",
+                "alone/compressed": "/robot/alone/compressed",
                 "annotated": "/robot/annotated",
                 "seen": "/robot/seen",
                 "camera_info": "/robot/camera_info",
@@ -315,6 +316,17 @@ class PortTest(CppCase):
         ):
             connect("/names", **config)
             self.has_topics("/names", **{**config, "resolved/compressed": compressed})
+
+    def test_an_image_that_comes_compressed_alone(self):
+        self.manager.load("Names", "/names")
+        for topic, *config in (
+            ("/moved/compressed", ("alone", "/moved")),
+            ("/own", ("alone", "/a"), ("alone/compressed", "/own")),
+            ("/other", ("alone/compressed", "/other"), ("alone", "/b")),
+        ):
+            answer = set_config_pairs("/names", *config)
+            self.assertTrue(answer.success, answer.message)
+            self.has_topics("/names", **{"alone/compressed": topic})
 
     def test_camera_info_goes_with_the_image_that_was_subscribed_to_before_it(self):
         """Other images of both directions are in its namespace."""

@@ -28,6 +28,7 @@ class Names : public nodelet::Nodelet
     advertise(ros::NodeHandle(nh, "left"), "image");
     advertise(nh, nh.resolveName("resolved"));
     advertise(nh, nh.resolveName("resolved") + "/compressed");
+    advertise(nh, nh.resolveName("alone") + "/compressed");
     const std::string seen = nh.resolveName("seen");
     for (const auto& topic :
          {nh.resolveName("annotated"), seen, ros::names::parentNamespace(seen) + "/camera_info"})
