@@ -198,7 +198,12 @@ def spawn(request: SpawnRequest) -> Change:
             if name.startswith("/"):  # else it began in the manager's namespace
                 check_own(_nodelet(client, name), request)
 
-        return partial(client.spawn_nodelet, request), partial(client.destroy, name), check
+        def undo() -> None:
+            if request.is_protected:
+                client.set_protection(name, False)
+            client.destroy(name)
+
+        return partial(client.spawn_nodelet, request), undo, check
 
     return _one_step(f"create {name}", make)
 

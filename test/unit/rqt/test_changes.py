@@ -87,6 +87,7 @@ def test_changes_can_be_taken_back(remote):
         connect_topic(seen(remote), TRACKER, "/other"),
         disconnect(seen(remote), (TRACKER, LOCALIZED)),
         spawn(SpawnRequest("tracker", "/second", {"position": "/field/ball"})),
+        spawn(SpawnRequest("tracker", "/second", is_protected=True)),
         destroy("/field/tracker"),
         protect("/field/tracker", True),
         remove_transformations(["tracker", "recorder"]),
