@@ -240,14 +240,15 @@ class Monitor:
         readers = self._readers(port, individual)
         if not readers:
             return found
+        # A first state sees what came for an earlier one; an individual has its own.
+        state = max(state, readers[0].first)
         if state < (self._next or 0):
             self.late += 1
             return found
         farthest = now + self._settings.delay
         for each in readers:
             values = each.own[port]
-            # An individual sees in its first state what came for an earlier one.
-            values.add(max(state, each.first), stamp, narrowed(message), now + _AHEAD)
+            values.add(state, stamp, narrowed(message), now + _AHEAD)
             # A stamp far ahead of the clock passes no states that messages are still to come for.
             if values.latest > farthest:
                 values.latest = farthest

@@ -129,7 +129,7 @@ def expected_verdicts(
             first = open_ = max(state, int(-(-begin // 1)))
         while round(open_ + delay, 6) < now:
             open_ += 1
-        if state < open_:
+        if state < open_ and open_ > first:  # the first state sees what came for an earlier one
             late += 1
             continue
         seen.append((port, stamp, received, value))

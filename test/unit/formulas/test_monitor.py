@@ -478,6 +478,26 @@ def test_an_individual_begins_with_its_last_message_before() -> None:
     assert len(left) == 8 and {each.value for each in left} == {Truth.TRUE}
 
 
+@pytest.mark.parametrize(
+    ("formula", "hold", "why"),
+    [
+        ("a.x > 0", None, "TRUE  a.x = 1 at 40"),
+        ("a.x > 0", 2.0, "UNKNOWN  a: no message since 40"),
+        ("some ?c (a.x > 0)", None, "TRUE  left: a.x = 1 at 40"),
+    ],
+)
+def test_a_first_state_sees_what_was_latched_before(
+    formula: str, hold: Optional[float], why: str
+) -> None:
+    monitor = parse(formula).monitor(hold=hold)
+    verdicts = []
+    if parse(formula).variables:
+        verdicts = monitor.individuals("?c", [], 99.0) + monitor.individuals("?c", ["left"], 100.0)
+    verdicts += monitor.feed("a", message(40.0, x=1), 100.03, "left") + monitor.advance(101.0)
+    verdicts += monitor.feed("a", message(41.0, x=0), 101.0, "left") + monitor.advance(102.0)
+    assert runs(verdicts)[-1].endswith(f" {why}") and monitor.late == 1
+
+
 def test_exact_reasoning_decides_more() -> None:
     found = {}
     for exact in (False, True):
