@@ -111,6 +111,7 @@ class TopicCard(QWidget):
         self._again = QTimer(self, singleShot=True, interval=_PATIENCE, timeout=self._follow)
         self._has_failed = False
         self._refs: Sequence[PortRef] = ()
+        self._sinks: Sequence[PortRef] = ()
         self._sample: Optional[Sample] = None
         self._came, self._why = 0.0, ""
         self._title, self.facts, self.image = QLabel(), QLabel(), QLabel()
@@ -178,7 +179,7 @@ class TopicCard(QWidget):
         if self.topic:
             snapshot = self._monitor.snapshot
             found = snapshot.topics().get(self.topic)
-            self._refs = found.sources if found is not None else ()
+            self._refs, self._sinks = (found.sources, found.targets) if found else ((), ())
             nodelets = (snapshot.nodelet(ref.nodelet) for ref in self._refs)
             nodes = [each.node for each in nodelets if each and each.state is State.RUNNING]
             nodes += [node.name for node in snapshot.nodes if self.topic in node.publishes]
@@ -283,6 +284,8 @@ class TopicCard(QWidget):
             return
         traffic = self._monitor.traffic
         rates = [traffic[ref].rate for ref in self._refs if ref in traffic]
+        if not self._refs:  # the fastest sink knows what ordinary nodes publish
+            rates = sorted(traffic[ref].rate for ref in self._sinks if ref in traffic)[-1:]
         facts = [f"{sum(rates):.3g} Hz"] if rates else []
         if self._sample is None:
             facts.append(self._why)

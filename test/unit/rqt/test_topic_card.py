@@ -142,6 +142,11 @@ def test_a_click_on_an_arrow_shows_its_last_message(qtbot, window, remote):
     assert view.viewport().rect().contains(card.geometry())
 
 
+def test_what_an_ordinary_node_publishes_has_the_rate_of_its_sink(qtbot, window, remote):
+    window.graph.card.show_topic("/nao1/joint_states")
+    until(qtbot, lambda: "50 Hz" in window.graph.card.facts.text())
+
+
 def test_the_curve_goes_on_while_other_numbers_come_and_go(qtbot, window, remote):
     card = window.graph.card
     card.show_topic(BALL)
