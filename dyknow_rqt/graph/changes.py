@@ -278,6 +278,7 @@ def set_parameters(
     def make(parameter: Parameter, present: Present) -> ReversibleStep:
         def put(value: Parameter) -> None:
             done = present.client.set_parameter(name, value)
+            present.outcome.extend(filter(None, done.remarks.split("\n")))
             if not done.is_read:
                 present.outcome.append(f"{value.name} is read at the next restart")
 
@@ -325,7 +326,9 @@ def add_transformations(specification: str, origin: str = "a specification") -> 
         labels: List[str] = []
 
         def add() -> None:
-            labels.extend(client.add_transformation(specification).labels)
+            added = client.add_transformation(specification)
+            labels.extend(added.labels)
+            present.outcome.extend(filter(None, added.warnings.split("\n")))
 
         def undo() -> None:
             replaced = [library[label] for label in labels if label in library]
@@ -398,7 +401,7 @@ def acquire(request: StreamRequest) -> Change:
                 present.outcome.append(f"waits, {error}")
             else:
                 claims.append(got.claim_id)
-                present.outcome.append(f"on {got.topic}")
+                present.outcome.extend([f"on {got.topic}", *got.warnings])
 
         return ask, lambda: present.client.release_stream(claims[0])
 

@@ -151,12 +151,17 @@ class StreamsPanel(Panel):
                 self._show_plan(way)
             then(way)
 
+        def take(found: Acquisition) -> None:
+            if found.warnings:
+                self._monitor.report("\n".join(found.warnings))
+            show(found.plan)
+
         if request.tag:
             self._explained, self._awaited = "", ("", frozenset())
             self._say("…")
             number = self._begin_question()
             self._monitor.ask(
-                lambda client: client.acquire_stream(request, dry_run=True).plan, show, show
+                lambda client: client.acquire_stream(request, dry_run=True), take, show
             )
 
     def _add_next_ways(

@@ -230,6 +230,18 @@ def test_what_another_client_changed_since_is_left_as_it_is(remote, change, othe
     assert seen(remote) == theirs
 
 
+def test_probable_mistakes_are_in_the_outcome(remote):
+    wrong = (
+        '<transformation><label>w</label><source>p/W</source><params><param name="rate" '
+        'type="int">5</param></params><ports><port type="out">o</port></ports>'
+        '<tags><tag port="o">Not a (term</tag></tags></transformation>'
+    )
+    assert "passed over by the planner" in apply(remote, add_transformations(wrong)).text
+    remote.client.spawn("w", "/w", {})
+    parameters = set_parameters("/w", [Parameter("rat", "", "7")], {})
+    assert "did you mean rate" in apply(remote, parameters).text
+
+
 def test_parameters_without_a_former_value_do_not_keep_others_from_being_set_back(remote):
     rate = Parameter("rate", "", "5")
     done = apply(remote, set_parameters("/nao1/resize", [MODE, rate], {"mode": SLOW}))

@@ -74,6 +74,16 @@ def test_what_matters_is_asked_for(qtbot, window, remote):
     assert "runs as /field/ceiling_camera" in panel.plan.text  # instead of a detector
 
 
+def test_an_excluded_label_that_belongs_to_nothing_is_reported(qtbot, window, remote):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    panel.exclude.setText("bottom camra")
+    click(qtbot, panel.preview)
+    until(qtbot, lambda: "did you mean 'bottom camera'" in window.line.text)
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: window.line.text.startswith("done: acquire Track(ball): on /"))
+    assert "did you mean 'bottom camera'" in window.line.text
+
+
 def test_what_variables_stand_for_is_shown(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "FieldPosition(?what)")
     click(qtbot, panel.acquire)
