@@ -157,9 +157,7 @@ def _live(
     from dyknow.ros.formulas.sources import LiveTopics
 
     streams = {
-        port: shell.resolve(topics.get(port, f"/{port}"))
-        for port in formula.ports
-        if port not in tags
+        port: shell.resolve(topics.get(port, port)) for port in formula.ports if port not in tags
     }
     for port in sorted(set(formula.of_individuals) & streams.keys()):
         raise DyKnowError(

@@ -13,6 +13,7 @@ import rospy
 from std_msgs.msg import Bool
 
 from dyknow.cli.commands import holds
+from dyknow.cli.shell import Shell
 from dyknow.errors import Denied, DyKnowError
 from dyknow.formulas import parse
 from dyknow.model.streams import ClaimState
@@ -191,6 +192,15 @@ def test_what_is_acquired_after_the_end_is_released_at_once(around):
     assert around.open == []
     assert around.subscribed == []
     assert [each.tag for each in around.acquired] == ["Flag(a)"]
+
+
+@pytest.mark.parametrize("topics", [{}, {"f": "f"}])
+def test_holds_hears_topics_of_the_namespace_of_the_manager(topics):
+    client: Any = SimpleNamespace(namespace="/robot1/", datatypes=dict)
+    formula = parse("f")
+    verdicts = holds._live(Shell(lambda: client), formula, formula.monitor(), topics, {}, 0.0)
+    with pytest.raises(DyKnowError, match="the topic /robot1/f of the port 'f' is not published"):
+        next(verdicts)
 
 
 def test_holds_ends_with_a_stream_that_has_ended(around, monkeypatch):
