@@ -41,6 +41,9 @@ _PREFIX = "relay of "
 _MONITOR = "monitor of "
 #: Out-port of a monitor.
 VERDICTS = "holds"
+#: Seconds for which the states of a monitor stay open. Those of a stream that flows close with its
+#: next message: so one that bears older stamps is judged, and silence is seen that much later.
+_DELAY = "1.0"
 #: Ways that are followed; beyond, less is supplied than could be.
 _MOST_WAYS = 64
 
@@ -79,7 +82,11 @@ def monitor(topic: str, datatype: str) -> Transformation:
 def monitored(formula: str, datatype: str) -> tuple[Parameter, ...]:
     """Return the parameters that a monitor is given."""
     datatypes = json.dumps({STREAM: datatype})
-    return Parameter("formula", "string", formula), Parameter("datatypes", "yaml", datatypes)
+    return (
+        Parameter("formula", "string", formula),
+        Parameter("datatypes", "yaml", datatypes),
+        Parameter("delay", "double", _DELAY),
+    )
 
 
 def is_monitor(transformation: Transformation | None) -> bool:

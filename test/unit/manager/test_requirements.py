@@ -412,6 +412,15 @@ def test_a_formula_that_is_false_of_everything_does_not_flap(field: Field) -> No
     assert 1 <= len(mended) <= 8, "each pause is twice the one before"
 
 
+def test_messages_that_are_stamped_long_before_they_arrive_are_judged(field: Field) -> None:
+    claim = field.acquire(require="rate(it) > 5").claim
+    name = field.claim(claim.claim_id).monitor
+    monitor = parse("rate(it) > 5").monitor(delay=field.host.parameters[f"{name}/delay"])
+    stamped = [SimpleNamespace(header=SimpleNamespace(stamp=each / 10)) for each in range(1, 61)]
+    verdicts = [v for each in stamped for v in monitor.feed("it", each, each.header.stamp + 0.25)]
+    assert verdicts[-1].value is Truth.TRUE and monitor.late == 0
+
+
 def test_a_monitor_that_dies_is_made_again(field: Field) -> None:
     claim = field.acquire(require=NEAR).claim
     field.settle()
