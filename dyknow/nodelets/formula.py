@@ -32,6 +32,8 @@ class FormulaNodelet(dyknow.Nodelet):
         ~datatypes (yaml, {}): ROS types of the in-ports, by name; std_msgs/Bool by default.
         ~out (string, holds): name of the out-port.
         ~period, ~delay (double, 0.1): seconds between two states, and for which they stay open.
+            With verdicts at an in-port ~delay is 0.5; they come after their states by the delay
+            of their supplier. Of one that looks ahead it has to be longer than the bounds.
         ~hold (double, 0): seconds for which a message has a value; 0: until the next one comes.
         ~exact (bool, false), ~max_nodes (int, 1000): reason with all that is unknown.
         ~individuals (yaml, {}): tags of the ports below a quantifier, by name, as
@@ -43,17 +45,17 @@ class FormulaNodelet(dyknow.Nodelet):
         """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         formula = parse(self.nh.get_param("~formula"))
-        self.monitor = formula.monitor(
-            self.nh.get_param("~period", 0.1),
-            self.nh.get_param("~hold", 0.0) or None,
-            self.nh.get_param("~delay", 0.1),
-            self.nh.get_param("~exact", False),
-            self.nh.get_param("~max_nodes", 1000),
-        )
         types = {
             port: get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")
             for port in formula.ports
         }
+        self.monitor = formula.monitor(
+            self.nh.get_param("~period", 0.1),
+            self.nh.get_param("~hold", 0.0) or None,
+            self.nh.get_param("~delay", 0.5 if VerdictMessage in types.values() else 0.1),
+            self.nh.get_param("~exact", False),
+            self.nh.get_param("~max_nodes", 1000),
+        )
         check(formula, {port: kind._type for port, kind in types.items()})
         tags = tags_of_individuals(formula, self.nh.get_param("~individuals", {}))
         self.pub = self.nh.Publisher(

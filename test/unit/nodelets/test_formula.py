@@ -60,6 +60,20 @@ def test_messages_wait_until_their_individual_is_present(nodelet):
     assert nodelet.verdicts == [1, 1, 0, 0]
 
 
+def test_a_formula_over_verdicts_sees_those_that_the_delay_decides(nodelet_harness):
+    alive = {"formula": "age(beat) < 0.5 s", "out": "alive"}
+    gone = {"formula": "not alive", "datatypes": {"alive": "dyknow_msgs/Verdict"}}
+    nodelet_harness.load(FormulaNodelet, "/a", {"beat": "/beat", "alive": "/alive"}, alive)
+    nodelet_harness.load(FormulaNodelet, "/b", {"alive": "/alive", "holds": "/gone"}, gone)
+    verdicts = nodelet_harness.listen("/gone")
+    for _ in range(20):
+        nodelet_harness.publish("/beat", Bool(True))
+        nodelet_harness.advance(0.05)
+    assert verdicts[-1].value == 0
+    nodelet_harness.advance(2.0)
+    assert verdicts[-1].value == 1
+
+
 def test_messages_that_come_late_are_reported(nodelet):
     nodelet.monitor = parse("f.header.seq > 0").monitor(0.1)
     for nodelet.now, stamp in ((1.0, 1.0), (2.0, 2.0), (2.5, 2.1)):
