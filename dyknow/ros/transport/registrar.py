@@ -116,9 +116,9 @@ class Registrar:
     def reg_removed(self, name: str, datatype_or_uri: str, kind: str) -> None:
         key = _key(kind, name, datatype_or_uri)
         with self._lock:
-            is_owed = key in self._owed  # and may be under way
+            is_down = bool(self._owed)  # its registration may be under way, too
             self._peers.pop(key, None)
-        if is_owed or not self._unregister(key):
+        if is_down or not self._unregister(key):
             self._owe(key, "")
         if kind == Registration.PUB:
             self._reminders.withdrawn(name)

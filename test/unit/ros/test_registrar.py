@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from clocks import PATIENCE, eventually
 
+from dyknow.errors import PeerTimeout
 from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
@@ -136,6 +137,25 @@ def test_a_withdrawal_that_a_dead_master_missed_is_repeated(master, registrar):
     assert registrar.is_subscribed("/a")
     master.start()
     eventually(lambda: master.registered == {"/b": STRING})
+
+
+def test_a_silent_master_is_waited_for_once(master, registrar, monkeypatch):
+    for topic in ("/a", "/b"):
+        registrar.reg_added(topic, STRING, "pub")
+    waits = []
+
+    def wait(*question):
+        waits.append(question)
+        raise PeerTimeout("the ROS master", 3.0)
+
+    with monkeypatch.context() as silence:
+        silence.setattr(registrar._master, "ask", wait)
+        silence.setattr(registrar._worker, "start", lambda: None)
+        for topic in ("/a", "/b"):
+            registrar.reg_removed(topic, STRING, "pub")
+    assert len(waits) == 1
+    registrar._settle()
+    assert master.registered == {}
 
 
 def test_a_topic_that_is_withdrawn_while_it_is_registered_late(master, registrar):
