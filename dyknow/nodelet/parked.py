@@ -108,7 +108,7 @@ class ParkedConnection(Connection):
             )
             held = list(self._queue)
             self._queue.clear()
-        latched = {_latching(each): each for each in held if _latching(each)}
+        latched = {latching(each): each for each in held if latching(each)}
         there = set(map(self._digest_of, waiting)) - {None}
         again = {id(each) for each in latched.values() if self._digest_of(each) in there}
         last = set(map(id, latched.values())) - again
@@ -157,7 +157,7 @@ class ParkedConnection(Connection):
             return None
 
 
-def _latching(message: Any) -> str:
+def latching(message: Any) -> str:
     """Return the publisher of a message that rospy received, if that latches; else empty."""
     header = getattr(message, "_connection_header", None) or {}
     return str(header.get("callerid", "?")) if header.get("latching") == "1" else ""

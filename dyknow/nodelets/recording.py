@@ -17,6 +17,7 @@ import rosbag
 import rospy
 
 from dyknow.locks import state_lock
+from dyknow.nodelet.parked import latching
 
 #: Bytes that a message takes besides its content, and that a number takes.
 OVERHEAD, _NUMBER = 1000, 32
@@ -40,7 +41,8 @@ class KeptMessage(NamedTuple):
 class Recording:
     """Messages of the last seconds, as references; safe from any thread.
 
-    Of each latched topic the message before them is kept, too, so that its state is known.
+    Of each publisher that latches the message before them is kept, too, so that the state of its
+    topic is known. A message of this process does not tell whether its publisher does.
 
     Args:
         seconds: age from which on a message goes.
@@ -53,12 +55,13 @@ class Recording:
         self._lock = state_lock("recording")
         self._kept: collections.deque[KeptMessage] = collections.deque()
         self._latched: set[str] = set()
-        self._before: dict[str, KeptMessage] = {}
+        #: By topic and publisher, the latest last.
+        self._before: dict[tuple[str, str], KeptMessage] = {}
         #: Bytes of all messages, as estimated.
         self.size = 0
 
     def add(self, topic: str, message: Any, now: float, is_state: bool = False) -> None:
-        """Keep a message; ``is_state``: the topic is latched."""
+        """Keep a message; ``is_state``: the topic is latched, by one publisher."""
         with self._lock:
             kept = self._kept
             if kept and now < kept[-1].received - _SET_BACK:  # simulated time
@@ -73,8 +76,10 @@ class Recording:
             while kept[0].received < now - self._seconds or self.size > self._most:
                 gone = kept.popleft()
                 self.size -= gone.size
-                if gone.topic in self._latched:
-                    self._before[gone.topic] = gone
+                publisher = "?" if gone.topic in self._latched else latching(gone.message)
+                if publisher:
+                    self._before.pop((gone.topic, publisher), None)
+                    self._before[gone.topic, publisher] = gone
                 if not kept:
                     return
 

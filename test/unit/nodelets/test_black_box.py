@@ -67,6 +67,16 @@ def test_sizes_are_close_to_those_on_the_wire():
         assert memory_of(any_message(message)) == buffer.tell()
 
 
+def test_latched_topics_of_other_processes_begin_with_their_states():
+    recording = Recording(SECONDS, 1e6)
+    for number, publisher in enumerate(["/a", "/b", "/c", "/a"]):
+        message = Int32(number)
+        message._connection_header = {"callerid": publisher, "latching": "01"[publisher != "/c"]}
+        recording.add("/map", message, 0.0)
+    recording.add("/other", Int32(4), 2 * SECONDS)
+    assert [each.message.data for each in recording.taken()] == [1, 3, 4]
+
+
 def test_time_that_is_set_back_begins_again():
     recording = Recording(SECONDS, 1e6)
     recording.add("a", String("old"), 100.0)
