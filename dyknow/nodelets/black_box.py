@@ -48,7 +48,7 @@ class BlackBox(dyknow.Nodelet):
         ~topics (yaml, []): topics to keep; a name or a pattern such as ``/camera/*``.
         ~seconds (double, 30): age from which on a message is dropped.
         ~memory (double, 200): MB of messages at most.
-        ~after (double, 2): seconds for which it waits after a cause.
+        ~after (double, 2): seconds for which it waits after a cause, if it is not unloaded.
         ~pause (double, 30): seconds between two bags that it writes by itself; at most half of
             ~seconds, so that a bag has its causes.
         ~folder (string): of the bags; black_box in ROS_HOME by default.
@@ -89,6 +89,14 @@ class BlackBox(dyknow.Nodelet):
         self.look()
         self.service = nh.Service("~write_bag", Trigger, self.on_request)
         self.timer = nh.Timer(nh.Duration(_LOOK), lambda event: self.look())
+
+    def on_shutdown(self) -> None:
+        """Write the bag of causes that wait, or wait for one that is being written."""
+        causes, self.causes = self.causes, []
+        if causes:
+            self.write(causes, self.recording.taken())
+        with self.turn:
+            pass
 
     def published(self) -> dict[str, str]:
         """Return the types of all topics; none while the ROS master is away."""

@@ -168,6 +168,14 @@ def test_a_violated_formula_writes_what_was_before_and_after(box):
     assert box.causes() == [["the formula of /v is violated: speed = 3.1 at 0.5"]]
 
 
+@pytest.mark.parametrize("causes", [[], ["the formula of /v is violated: slow"]])
+def test_causes_that_wait_are_written_at_the_end(box, causes):
+    box = box()
+    box.send("/v", verdict(Verdict.FALSE if causes else Verdict.TRUE, "slow"))
+    box.harness.unload(box.box)
+    assert box.causes() == ([causes] if causes else [])
+
+
 def test_a_topic_that_cannot_be_kept_is_skipped(box, nodelet_harness):
     nodelet_harness.publish("/kept/a", Int32(1))  # of another type than the master says
     box = box()
