@@ -87,8 +87,10 @@ class BlackBox(dyknow.Nodelet):
         self.keep(f"{self.manager}/stream_events", StreamEvent)
         self.keep(f"{self.manager}/model", rospy.AnyMsg)
         self.look()
-        self.service = nh.Service("~write_bag", Trigger, self.on_request)
-        self.timer = nh.Timer(nh.Duration(_LOOK), lambda event: self.look())
+        beside = self.mt_node_handle  # messages are kept while the disk or the master takes long
+        self.service = beside.Service("~write_bag", Trigger, self.on_request)
+        self.timer = beside.Timer(nh.Duration(_LOOK), lambda event: self.look())
+        self.reader = nh.Timer(nh.Duration(_LOOK), lambda event: self.read_model())
 
     def on_shutdown(self) -> None:
         """Write the bag of causes that wait, or wait for one that is being written."""
@@ -106,7 +108,7 @@ class BlackBox(dyknow.Nodelet):
             return {}
 
     def look(self) -> None:
-        """Subscribe to topics that have come, and look at the states of nodelets."""
+        """Subscribe to topics that have come."""
         for topic, datatype in sorted(self.published().items()):
             is_named = any(fnmatchcase(topic, pattern) for pattern in self.patterns)
             is_wanted = is_named or datatype == Verdict._type
@@ -116,7 +118,6 @@ class BlackBox(dyknow.Nodelet):
                 except DyKnowError as error:  # a topic that is denied, say: the others are kept
                     self.subscribers[topic] = None
                     self.nh.logwarn("%s: %s is not kept: %s", self.name, topic, error)
-        self.read_model()
 
     def read_model(self) -> None:
         """Compare the states of nodelets with those before, if there is a new model."""

@@ -319,6 +319,21 @@ def test_a_request_writes_at_once(box):
     assert [[topic for topic, _ in bag] for bag in box.bags()] == [["/kept/a"]]
 
 
+def test_messages_are_kept_while_a_bag_is_written_and_while_the_master_is_silent(box, monkeypatch):
+    box, kept = box(), []
+
+    def wait():
+        box.harness.publish("/kept/a", String("x"))
+        box.harness._executor.drain()  # as another thread would
+        kept.append(len(box.box.recording.taken()))
+
+    monkeypatch.setattr(BlackBox, "published", lambda self: wait() or {})
+    box.pass_time(1.0)
+    monkeypatch.setattr(black_box, "write_bag", lambda *unused: wait() or 0)
+    assert box.harness.call("/nodelet/write_bag", TriggerRequest()).success
+    assert kept == [1, 2]
+
+
 def test_a_folder_that_cannot_be_written_is_an_answer(box, tmp_path):
     box = box()
     box.box.folder = str(tmp_path / "file" / "folder")
