@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 import threading
-import types
 from typing import Any, Callable, Mapping
 
 import genpy
@@ -28,6 +27,7 @@ from dyknow import names
 from dyknow.nodelet.importer import Importer, Module, View
 from dyknow.ros.scripts.rospy_classes import bound_classes, wait_for, wait_for_service
 from dyknow.ros.scripts.sandbox import Sandbox
+from dyknow.ros.transport.node import LOGS, own_logs
 
 #: The submodules that are views; below rospy, everything else is the process's.
 _SUBMODULES = ("client", "core", "names", "rostime", "service", "topics")
@@ -38,7 +38,6 @@ _TIMING = ("Rate", "Timer", "sleep")
 _OF_HANDLE = "get_param get_param_cached set_param has_param delete_param search_param".split()
 #: Functions that are rospy's own for a sandbox with a process of its own.
 _OF_NODE = "get_name get_caller_id get_namespace".split()
-_LOGS = [name for name in dir(rospy) if name.startswith("log") and name != "logout"]
 
 
 def rospy_views(
@@ -135,9 +134,9 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
         return dict(sandbox.context.remappings) if sandbox.context is not None else {}
 
     members: dict[str, Any] = {name: of_handle(name) for name in _OF_HANDLE}
-    members.update({name: getattr(rospy, name) for name in _LOGS})
+    members.update({name: getattr(rospy, name) for name in LOGS})
     if not sandbox.is_alone:
-        members.update(_logging(sandbox.name))
+        members.update(own_logs(sandbox.name))
     members.update(
         init_node=init_node,
         myargv=lambda argv=None: rospy.myargv(sandbox.argv if argv is None else argv),
@@ -173,26 +172,6 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
         members.update({name: _remapping(sandbox, name) for name in _OF_HANDLE})
         members["get_mappings"] = lambda: dict(sandbox.mappings)
     return members
-
-
-def _logging(name: str) -> dict[str, Callable[..., Any]]:
-    """Return rospy's functions for the log in a nodelet's name, with tables of their own.
-
-    They are rospy's code with other globals, and neither that nor a partial adds a frame: rospy
-    distinguishes call sites by their frames, in tables of what was said once or lately.
-    """
-    space = dict(vars(rospy.core))
-    for table in ("_logging_throttle", "_logging_identical", "_logging_once"):
-        space[table] = type(space[table])()
-        for attribute, shared in vars(type(space[table])).items():
-            if isinstance(shared, (dict, set)):
-                setattr(space[table], attribute, type(shared)())
-    for each in ("_base_logger", *_LOGS):
-        space[each] = types.FunctionType(
-            space[each].__code__, space, each, space[each].__defaults__
-        )
-    title = name.strip("/").replace("/", ".")
-    return {each: functools.partial(space[each], logger_name=title) for each in _LOGS}
 
 
 def _remapping(sandbox: Sandbox, name: str) -> Callable[..., Any]:

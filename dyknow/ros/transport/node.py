@@ -10,9 +10,12 @@ import functools
 import math
 import threading
 import time
+import types
+import weakref
 from typing import Any, Callable
 
 import rospy
+import rospy.core
 import rospy.rostime
 import rospy.timer
 
@@ -24,7 +27,8 @@ from dyknow.ros.wire.master import Master
 
 #: Seconds of a wait between two looks whether the nodelet is still there.
 _SLICE = 1.0
-_LOGGERS = frozenset(
+#: rospy's functions for the log.
+LOGS = frozenset(
     f"log{level}{variant}"
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
@@ -57,6 +61,26 @@ def _resolved(
     elif first in kwds:
         kwds[first] = resolve(kwds[first])
     return function(*args, **kwds)
+
+
+def own_logs(name: str) -> dict[str, Callable[..., Any]]:
+    """Return rospy's functions for the log in a nodelet's name, with tables of their own.
+
+    They are rospy's code with other globals, and neither that nor a partial adds a frame: rospy
+    distinguishes call sites by their frames, in tables of what was said once or lately.
+    """
+    space = dict(vars(rospy.core))
+    for table in ("_logging_throttle", "_logging_identical", "_logging_once"):
+        space[table] = type(space[table])()
+        for attribute, shared in vars(type(space[table])).items():
+            if isinstance(shared, (dict, set)):
+                setattr(space[table], attribute, type(shared)())
+    for each in ("_base_logger", *LOGS):
+        space[each] = types.FunctionType(
+            space[each].__code__, space, each, space[each].__defaults__
+        )
+    title = name.strip("/").replace("/", ".")
+    return {each: functools.partial(space[each], logger_name=title) for each in LOGS}
 
 
 def _resolve_service(handle: Any, name: str) -> str:
@@ -108,6 +132,9 @@ class RospyNode(Node):
     interrupted = Interrupted
     timed_out = MessageTimeout
 
+    def __init__(self) -> None:
+        self._logs: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
+
     def is_shutdown(self) -> bool:
         return bool(rospy.is_shutdown())
 
@@ -115,10 +142,11 @@ class RospyNode(Node):
         return str(rospy.resolve_name(name))
 
     def member(self, name: str, handle: Any) -> Any:
-        if name in _LOGGERS:
-            # A partial adds no frame: rospy distinguishes call sites by their frames.
-            logger = handle.get_name().strip("/").replace("/", ".")
-            return functools.partial(getattr(rospy, name), logger_name=logger)
+        if name in LOGS:
+            logs = self._logs.get(handle.context)
+            if logs is None:
+                logs = self._logs.setdefault(handle.context, own_logs(handle.get_name()))
+            return logs[name]
         if name in _OF_PARAMETERS:
             function = getattr(rospy, name)
             return functools.partial(_resolved, function, "param_name", handle.resolve_name)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import rospy
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
+from unit.nodelet.fakes import World
 
 from dyknow.errors import LoadFailed
 from dyknow.nodelet.context import Runtime
@@ -25,6 +26,7 @@ from dyknow.ros.scripts import script as script_module
 from dyknow.ros.scripts.rospy_view import rospy_views
 from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.scripts.script import ScriptNodelet
+from dyknow.ros.transport.node import RospyNode
 
 
 class Scripts:
@@ -173,11 +175,16 @@ class TestWhatConcernsTheProcess:
         scripts.is_gone()
 
 
-def test_each_instance_has_its_own_log_of_what_was_said_once(caplog, monkeypatch):
+@pytest.mark.parametrize("is_script", [True, False])
+def test_each_instance_has_its_own_log_of_what_was_said_once(caplog, monkeypatch, is_script):
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    views = [
+    views: list[Any] = [
         rospy_views(Sandbox(name), lambda: None, lambda: rospy)["rospy"]() for name in ("/a", "/b")
     ]
+    if not is_script:
+        world = World()
+        world.runtime.node = RospyNode()
+        views = [world.handle("/a"), world.handle("/b")]
     with caplog.at_level(logging.WARNING, "rosout"):
         for view in views * 2:
             view.logwarn_once("no calibration")
