@@ -210,7 +210,8 @@ class Context:
         lines = traceback.format_exception(type(error), error, error.__traceback__)
         more = f" (and {unlogged} times more since)" if unlogged else ""
         text = encodable("".join(lines))
-        _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, text)
+        by = {"nodelet": self.name}
+        _log.error("%s: the callback of %s raised%s\n%s", self.name, what, more, text, extra=by)
 
     def publication(
         self, what: str, datatype: Any, latch: bool, queue_size: int | None, **options: Any

@@ -45,7 +45,8 @@ class NodeletLog(rospy.impl.rosout.RosOutHandler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish a line; those of the process itself as rospy does."""
-        name = "/" + record.name[len(_ROOT) :].replace(".", "/")
+        logger = "/" + record.name[len(_ROOT) :].replace(".", "/")
+        name = getattr(record, "nodelet", logger)
         topics = self._topics(name)
         publisher = rospy.impl.rosout._rosout_pub
         if topics is None or publisher is None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from io import BytesIO
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -83,6 +84,20 @@ def test_a_handler_that_raises_answers(monkeypatch: Any, raised: Exception, expe
 def test_a_line_of_the_log() -> None:
     line = logging.makeLogRecord({"msg": "raised %s", "args": (HALF,)})
     assert NodeletLog(lambda name: None).format(line) == "raised unknown command ?"
+
+
+def test_an_error_of_a_callback_is_logged_in_the_name_of_its_nodelet(
+    caplog: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[Any] = []
+    publisher = SimpleNamespace(publish=sent.append)
+    monkeypatch.setattr(rospy.impl.rosout, "_rosout_pub", publisher)
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    context = Bench().context
+    context.failed("'in'", ValueError("late"))
+    topics = {context.name: ["/in"]}
+    NodeletLog(topics.get).emit(caplog.records[-1])
+    assert [(line.name, line.topics) for line in sent] == [(context.name, ["/in"])]
 
 
 def test_the_size_of_a_message_that_cannot_be_sent_is_not_known() -> None:
