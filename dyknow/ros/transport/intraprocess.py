@@ -135,6 +135,7 @@ class OrdinaryHandles:
         self.name = name
         self.registrations: set[Any] = set()
         self.backlog = Backlog()
+        self.backlog.gave_up = self.refresh
         #: By publication, the latest last; under None the message of ordinary publishers.
         self._latches: dict[Any, Any] = {}
         self._uri = uri

@@ -64,6 +64,8 @@ class Backlog:
         self._missed: collections.deque[Any] = collections.deque()
         #: Whether a subscriber is expected; looked at on every publish.
         self.open = False
+        #: Called when a message is not kept, since the subscribers have not come in time.
+        self.gave_up: Callable[[], None] = lambda: None
 
     def expect(self, due: Collection[str], size: int) -> None:
         """Keep messages from now on.
@@ -89,8 +91,11 @@ class Backlog:
         return self.open
 
     def keep(self, message: Any) -> None:
-        if self.waiting():
-            self._missed.append(message)
+        if self.open:
+            if self.waiting():
+                self._missed.append(message)
+            else:
+                self.gave_up()
 
     def missed_by(self, address: str) -> list[Any]:
         """Return the messages that a subscriber missed which has connected now, oldest first."""

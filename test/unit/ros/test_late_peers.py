@@ -196,6 +196,19 @@ def test_what_a_subscriber_missed_that_dies_while_it_connects_goes_to_no_other(h
     far.close()
 
 
+def test_a_publication_is_not_heard_by_a_subscriber_that_has_not_come_in_time():
+    handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), lambda *each: None)
+    handles.adopt(_PublisherImpl("/t", Header))
+    registrations: Any = [SimpleNamespace(heard=False, changed=None)]
+    handles.registrations, now = registrations, [100.0]
+    handles.backlog._clock = lambda: now[0]
+    handles.expect({ONE})
+    assert registrations[0].heard
+    now[0] += LONGEST
+    handles.backlog.keep(Header())
+    assert not registrations[0].heard
+
+
 # How long a port that is connected elsewhere waits for its new peers
 
 
