@@ -308,6 +308,17 @@ class StandaloneTest(CommandCase):
         process.stop()
         self.ends(process)
 
+    def test_a_port_has_a_name_that_another_one_gave_up(self):
+        process = self.run_process(
+            *(*NODELET, "standalone", "dyknow/Relay", "_datatype:=std_msgs/Header"),
+            *("in:=/a", "out:=/in", "__name:=alone"),
+        )
+        process.wait_for("loaded nodelet /alone")
+        self.assertEqual(graph.topics_of_ports("/alone"), {"in": "/a", "out": "/in"})
+        self.assertTrue(set_config("/alone", **{"in": "/in", "out": "/b"}).success)
+        process.stop()
+        self.ends(process)
+
     def test_a_nodelet_that_cannot_be_loaded_ends_it(self):
         output = self.does(*NODELET, "standalone", "dyknow_test/FailsInInit", code=255)
         self.assertIn("the camera is not plugged in", output)

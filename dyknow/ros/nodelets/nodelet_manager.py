@@ -388,11 +388,14 @@ def run_standalone(type_name: str, my_argv: Sequence[str], argv: Sequence[str]) 
 
     def start() -> NodeletManager | None:
         manager = _make(bound=SPAWNED in os.environ)
+        table = rospy.names.get_resolved_mappings()
         remappings = {
             source: target
-            for source, target in rospy.names.get_resolved_mappings().items()
+            for source, target in table.items()
             if source.startswith("/") and not source.startswith("/__")
         }
+        for remapped in remappings.keys() & remappings.values():
+            del table[remapped]  # rospy would remap a name again that the handle has remapped
         name, sources, targets = rospy.get_name(), list(remappings), list(remappings.values())
         try:
             manager.load(srv.NodeletLoadRequest(name, type_name, sources, targets, my_argv, ""))
