@@ -44,6 +44,8 @@ _CRASH_RECORD = "crash_record"
 
 #: Makes a node re-wirable; a program and its arguments follow.
 _REWIRABLE = ("env", f"{SPAWNED}=1", sys.executable, "-m", "dyknow.cli.rewirable")
+#: Lines are in an output when they are printed: those of Python, and the log of roscpp.
+_BY_LINES = {"PYTHONUNBUFFERED": "1", "ROSCONSOLE_STDOUT_LINE_BUFFERED": "1"}
 #: Bytes at the end of an output in which its last line is looked for.
 _LAST_WORDS = 2000
 #: Outputs of ended processes that are kept, at most so many, of so many bytes in all, for all the
@@ -103,7 +105,7 @@ class Launcher:
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
         tag = {child_records.TAG: child_records.to_tag(child, self._owner.path)}
-        environment = {**tag, **self._guards}
+        environment = {**_BY_LINES, **tag, **self._guards}
         found = os_process.start((*program, *node), output, rospkg.get_ros_home(), environment)
         if kind is not NodeletKind.PYTHON and self._orphan_timeout > 0:
             try:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import fcntl
 import os
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -457,3 +459,21 @@ def test_a_process_whose_watchdog_cannot_be_started_is_ended(launched, monkeypat
     with pytest.raises(OSError, match="too many open files"):
         launcher.launch(ChildRecord("/node", NodeletKind.SCRIPT), ("true",))
     end.assert_called_once_with(0.0)
+
+
+def test_lines_are_in_the_output_when_they_are_printed(launched, tmp_path, monkeypatch):
+    launcher, _ = launched
+    start = mock.Mock(return_value=ProcessId(1, 1))
+    monkeypatch.setattr(os_process, "start", start)
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    launcher.launch(ChildRecord("/node", NodeletKind.SCRIPT), ("true",))
+    environment = start.call_args[0][3]
+    assert environment["ROSCONSOLE_STDOUT_LINE_BUFFERED"] == "1"
+    output, command = tmp_path / "output", "import sys; print('up'); sys.stdin.read()"
+    with output.open("w") as file, subprocess.Popen(
+        [sys.executable, "-c", command],
+        stdin=subprocess.PIPE,
+        stdout=file,
+        env={**os.environ, **environment},
+    ):
+        eventually(lambda: output.read_text() == "up\n")
