@@ -102,6 +102,7 @@ class Launcher:
         for key, value in self._parameters_of(kind, name).items():
             self._master.ask("setParam", names.join(name, key), value)
         output = self._output(name)
+        os.makedirs(self._log_folder, exist_ok=True)  # rosclean may have removed it
         program = (*_REWIRABLE, *command) if kind.is_node else self._command(kind)
         node = (f"__name:={name.rpartition('/')[2]}", f"__ns:={names.parent(name)}")
         tag = {child_records.TAG: child_records.to_tag(child, self._owner.path)}

@@ -477,3 +477,13 @@ def test_lines_are_in_the_output_when_they_are_printed(launched, tmp_path, monke
         env={**os.environ, **environment},
     ):
         eventually(lambda: output.read_text() == "up\n")
+
+
+def test_after_rosclean_a_process_is_started_as_before(launched, tmp_path):
+    launcher, end = launched
+    (folder,) = tmp_path.iterdir()
+    folder.rmdir()
+    record = ChildRecord("/first", NodeletKind.PYTHON)
+    launcher.launch(record)
+    end(record)
+    assert launcher.last_line("/first") == "it runs"
