@@ -158,7 +158,8 @@ class Children:
         record = ChildRecord(name, kind, name)
         child = self._add(Child(self._context, record, command=command, start_timeout=timeout))
         try:
-            self._wait_up(child, time.monotonic() + timeout)
+            # One that is late is ended, which says why.
+            self._wait_up(child, time.monotonic() + timeout + 2 * PATIENCE)
         except HostError as error:
             self.end(name)
             last = self._launcher.last_line(name)
@@ -367,6 +368,7 @@ class Children:
                 child.went_down("it ended at its start")
                 return
             if time.monotonic() > deadline and self._is_lost(child):
+                child.wanted &= not child.is_node  # or it could come up while it is ended
                 child.end()
                 what = "offered no ports" if child.is_node else "not come up"
                 raise HostError(f"it has {what} within {child.start_timeout:g} s")

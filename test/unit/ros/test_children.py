@@ -153,6 +153,19 @@ def test_a_restart_ends_the_pause_of_a_process_that_cannot_be_started(
     children.end_all()
 
 
+def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monkeypatch):
+    monkeypatch.setattr(children_module, "PATIENCE", 3600.0)
+    monkeypatch.setattr(Child, "_find", lambda child: None)
+    launcher.last_line = lambda name: "loading"
+    with subprocess.Popen(["sleep", "1000"], start_new_session=True) as process:
+        found = ProcessId.of(process.pid)
+        launcher.launch = lambda child, command: (found, None)
+        with pytest.raises(HostError) as error:
+            children.start_node(NodeletKind.CPP_NODE, "/n", ("true",), 0.1)
+    why = "node '/n': it has offered no ports within 0.1 s; the last that it printed: loading"
+    assert str(error.value) == why
+
+
 def test_children_without_a_manager_are_cleaned_up_or_taken_over(children, launcher):
     here = ProcessId.of(os.getpid())
     assert here is not None
