@@ -19,26 +19,26 @@ from dyknow.ros.scripts.sandbox import Sandbox, SandboxEnd
 if TYPE_CHECKING:  # a script of its own does not wait for its parser
     from dyknow.nodelet.plugins import Package
 
-#: The modules that need rospy. Other modules of ROS look at files and at the master alone, and
-#: DyKnow itself is the process's.
-DEPENDENTS = Dependents(
-    "rospy",
-    "catkin dyknow dyknow_msgs genmsg genpy numpy rosgraph roslib rospkg yaml".split(),
-)
+#: Modules of ROS that look at files and at the master alone, and DyKnow itself: the process's.
+_APART = "catkin dyknow dyknow_msgs genmsg genpy numpy rosgraph roslib rospkg yaml".split()
+#: The modules that need rospy.
+DEPENDENTS = Dependents("rospy", _APART)
 _COPIED = process_view.COPIED | {rospy_view.COPIED}
 
 
 def script_importer(
-    sandbox: Sandbox, script: str, given: str, init_node: Callable[..., None]
+    sandbox: Sandbox, script: str, given: str, init_node: Callable[..., None], package: str = ""
 ) -> Importer:
     """Make the importer of a script, whose siblings can be imported.
 
-    ``given`` is the path that it was called by, in a devel space that of a relay.
+    ``given`` is the path that it was called by, in a devel space that of a relay. Modules of its
+    ``package`` are copied.
     """
+    own = _COPIED | ({package} - {*_APART})
     folders = [os.path.dirname(script), os.path.dirname(os.path.abspath(given))]
 
     importer = Importer(
-        lambda name: name in _COPIED or DEPENDENTS.has(name),
+        lambda name: name in own or DEPENDENTS.has(name),
         list(dict.fromkeys(folders)),
         {
             **rospy_view.rospy_views(sandbox, init_node, lambda: importer),

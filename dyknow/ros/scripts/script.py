@@ -34,6 +34,7 @@ class ScriptCode:
         sandbox: executes it.
         argv: the command line, the path of the script first.
         init_node: is called as ``rospy.init_node``.
+        package: name of a package whose modules are its own.
 
     Raises:
         CannotRun: the file cannot be read.
@@ -41,12 +42,16 @@ class ScriptCode:
     """
 
     def __init__(
-        self, sandbox: Sandbox, argv: Sequence[str], init_node: Callable[..., None]
+        self,
+        sandbox: Sandbox,
+        argv: Sequence[str],
+        init_node: Callable[..., None],
+        package: str = "",
     ) -> None:
         self._sandbox = sandbox
         file = script_file(argv[0])
         sandbox.argv = [file, *argv[1:]]
-        self.importer = script_importer(sandbox, file, argv[0], init_node)
+        self.importer = script_importer(sandbox, file, argv[0], init_node, package)
         self.module = self.importer.prepare("__main__", file)
         try:
             with open(file, "rb") as source:
@@ -93,7 +98,7 @@ class ScriptNodelet(Nodelet):
         def init_node(*args: Any, **kwds: Any) -> None:
             arguments.note(args, kwds)
 
-        code = ScriptCode(sandbox, argv, init_node)
+        code = ScriptCode(sandbox, argv, init_node, self.my_argv[0].partition("/")[0])
         self._end = SandboxEnd(sandbox, code.importer.files)
         sandbox.main = threading.Thread(
             target=self._main, args=(sandbox, code), name=f"{self.name} main", daemon=True

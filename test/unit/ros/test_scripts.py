@@ -38,11 +38,11 @@ class Scripts:
         self.runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=WorkerPool(None))
         self.loader = Loader(self.runtime, lambda type_name, context: ScriptNodelet)
 
-    def load(self, text, name="/script"):
+    def load(self, text, name="/script", word=""):
         file = self.folder / "script.py"
         begin = "import rospy, script_witness\nrospy.init_node('script')\n"
         file.write_text(f"#!/usr/bin/env python3\n{begin}{text}\n")
-        self.loader.load(name, "script", {}, [str(file)])
+        self.loader.load(name, "script", {}, [word or str(file)])
 
     def is_gone(self):
         eventually(lambda: self.loader.list() == [])
@@ -173,6 +173,20 @@ class TestWhatConcernsTheProcess:
         )
         assert scripts.witness.found == (5, ["program", "word"])
         scripts.is_gone()
+
+
+def test_modules_of_its_package_are_those_on_disk(scripts, tmp_path, monkeypatch):
+    package = tmp_path / "src" / "own_package"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setattr(script_module, "find_script", lambda word: str(tmp_path / "script.py"))
+    for gain in (1, 200):
+        (package / "algo.py").write_text(f"GAIN = {gain}\n")
+        text = "from own_package.algo import GAIN\nscript_witness.found = GAIN"
+        scripts.load(text, word="own_package/script.py")
+        scripts.is_gone()
+        assert scripts.witness.found == gain
 
 
 @pytest.mark.parametrize("is_script", [True, False])
