@@ -383,9 +383,8 @@ class ManagerNode(Closable):
 
 
 def _name_of(argv: Sequence[str]) -> str:
-    mappings = rosgraph.names.load_mappings(argv)
-    namespace = mappings.get("__ns", rosgraph.names.get_ros_namespace(argv=[]))
-    return names.join(str(namespace), str(mappings.get("__name", _NAME)))
+    name = rosgraph.names.load_mappings(argv).get("__name", _NAME)
+    return names.join(rosgraph.names.get_ros_namespace(argv=argv), str(name))
 
 
 def _is_running(name: str) -> bool:

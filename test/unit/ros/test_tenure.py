@@ -13,6 +13,7 @@ from clocks import HandClock
 
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import ControlLoop
+from dyknow.ros.manager.manager_node import _name_of
 from dyknow.ros.manager.tenure import PATIENCE, VARIABLE, Tenure, TenureVerdict
 
 NAME = "/dyknow_manager"
@@ -164,3 +165,12 @@ def test_the_loop_looks_until_the_name_is_decided(pair: Tuple[Side, Side]) -> No
     assert (looks(3.0), done) == (3, [])
     elder.look()
     assert (looks(100.0), done) == (1, ["leave"])
+
+
+@pytest.mark.parametrize("given", ["robot1", "/robot1", "/robot1/"])
+def test_the_name_is_global_however_its_namespace_is_given(
+    given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert _name_of(["manager", f"__ns:={given}"]) == "/robot1/dyknow_manager"
+    monkeypatch.setenv("ROS_NAMESPACE", given)
+    assert _name_of(["manager", "__name:=m"]) == "/robot1/m"
