@@ -334,19 +334,20 @@ class ScriptEnded(NodeletError):
         super().__init__(name, f"script '{name}' has ended: sys.exit({code!r})")
 
 
+#: The need of what only one of a process can do.
+_PROCESS = "a process of its own; spawn it isolated, or run it with 'nodelet standalone_script'"
+
+
 class NeedsProcess(DyKnowError, ImportError):
     """A script does what cannot be done by one of many in a process.
 
     It is an ImportError too, so that scripts which can do without a module do.
     """
 
-    def __init__(self, name: str, what: str) -> None:
+    def __init__(self, name: str, what: str, need: str = _PROCESS) -> None:
         self.nodelet = name
         self.what = what
-        super().__init__(
-            f"'{name}': {what} needs a process of its own; spawn it isolated, or run it with "
-            "'nodelet standalone_script'"
-        )
+        super().__init__(f"'{name}': {what} needs {need}")
 
 
 class UnloadedMeanwhile(NodeletError):

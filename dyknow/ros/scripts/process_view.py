@@ -34,6 +34,8 @@ COPIED = frozenset(("argparse", "optparse", "queue"))
 _TOOLKITS = (
     "PyQt5 PyQt6 PySide2 PySide6 gi kivy pygame pynput python_qt_binding tkinter wx"
 ).split()
+#: The need of the keyboard, which processes that a manager starts do not have.
+_TERMINAL = "a terminal; run it in one with 'dyknow run'"
 _REFUSED = {
     "cv2": "destroyAllWindows imshow namedWindow waitKey".split(),
     "multiprocessing": "Manager Pool Process get_context".split(),
@@ -74,7 +76,7 @@ def functions(sandbox: Sandbox) -> dict[str, Any]:
     """Return replacements of built-in functions."""
     if sandbox.is_alone:
         return {}
-    return {"input": _refusal(sandbox, "input()"), "exit": sys.exit, "quit": sys.exit}
+    return {"input": _refusal(sandbox, "input()", _TERMINAL), "exit": sys.exit, "quit": sys.exit}
 
 
 class _Sys(View):
@@ -234,15 +236,15 @@ def _partly_refused(sandbox: Sandbox, name: str, **own: Any) -> View:
     return View(real, {**refused, **own})
 
 
-def _refusal(sandbox: Sandbox, what: str) -> type[Any]:
+def _refusal(sandbox: Sandbox, *what: str) -> type[Any]:
     class Refused:
         """Stands for a function, or for a class that code may derive from."""
 
         def __new__(cls, *args: Any, **kwds: Any) -> Any:
-            raise NeedsProcess(sandbox.name, what)
+            raise NeedsProcess(sandbox.name, *what)
 
         def __init_subclass__(cls, **kwds: Any) -> None:
-            raise NeedsProcess(sandbox.name, what)
+            raise NeedsProcess(sandbox.name, *what)
 
     return Refused
 
@@ -265,4 +267,4 @@ class _NoKeyboard:
         """Do nothing; it is not entered."""
 
     def __getattr__(self, name: str) -> Any:
-        raise NeedsProcess(self._sandbox.name, "the keyboard (sys.stdin)")
+        raise NeedsProcess(self._sandbox.name, "the keyboard (sys.stdin)", _TERMINAL)

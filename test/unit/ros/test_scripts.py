@@ -141,12 +141,23 @@ class TestWhatConcernsTheProcess:
             "import os\nos.execvpe('true', ['true'], {})",
             "import multiprocessing\nclass Own(multiprocessing.Process): pass",
             "import multiprocessing\nmultiprocessing.Process()",
+        ],
+    )
+    def test_is_refused_with_the_cure(self, scripts, text):
+        with pytest.raises(LoadFailed, match="a process of its own; spawn it isolated"):
+            scripts.load(text)
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "input()",
             "import sys\nfor line in sys.stdin: pass",
             "import sys\nwith sys.stdin: pass",
         ],
     )
-    def test_is_refused_with_the_cure(self, scripts, text):
-        with pytest.raises(LoadFailed, match="a process of its own"):
+    def test_a_keyboard_is_where_a_terminal_is(self, scripts, text):
+        """A process that the manager starts has none either."""
+        with pytest.raises(LoadFailed, match="needs a terminal; run it in one with 'dyknow run'"):
             scripts.load(text)
 
     @pytest.mark.parametrize(
