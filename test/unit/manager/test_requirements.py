@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Collection, Dict, List
+from typing import Any, Collection, Dict, List
 
 import pytest
 from charged_robot import CHARGED, FORMULAS
@@ -415,7 +415,8 @@ def test_a_formula_that_is_false_of_everything_does_not_flap(field: Field) -> No
 def test_messages_that_are_stamped_long_before_they_arrive_are_judged(field: Field) -> None:
     claim = field.acquire(require="rate(it) > 5").claim
     name = field.claim(claim.claim_id).monitor
-    monitor = parse("rate(it) > 5").monitor(delay=field.host.parameters[f"{name}/delay"])
+    delay: Any = field.host.parameters[f"{name}/delay"]
+    monitor = parse("rate(it) > 5").monitor(delay=delay)
     stamped = [SimpleNamespace(header=SimpleNamespace(stamp=each / 10)) for each in range(1, 61)]
     verdicts = [v for each in stamped for v in monitor.feed("it", each, each.header.stamp + 0.25)]
     assert verdicts[-1].value is Truth.TRUE and monitor.late == 0
