@@ -291,6 +291,14 @@ class Monitor:
             self._set_individuals(state)
         return found
 
+    def hears(self, port: str, individual: str) -> bool:
+        """Whether a port is outside quantifiers, or the individual is present in its range."""
+        names = dict(self._individuals)
+        return port in self._states.own or any(
+            individual in names.get(each.variable, ()) and port in own_ports(each.operand)
+            for each in self._states.quantifiers
+        )
+
     def finish(self) -> List[Verdict]:
         """End the sequence of states; returns the verdicts that are open, mostly UNKNOWN."""
         found: List[Verdict] = []

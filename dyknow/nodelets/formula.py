@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import chain
-from typing import Any
+from typing import Any, Iterable
 
 from dyknow_msgs.msg import Verdict as VerdictMessage
 from genpy import Time
@@ -15,7 +14,11 @@ from genpy import Time
 import dyknow
 from dyknow.formulas import Verdict, parse
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals
+from dyknow.ros.formulas.individuals import (
+    IndividualStreams,
+    tags_of_individuals,
+    take_waiting,
+)
 from dyknow.ros.formulas.message_types import check
 from dyknow.ros.parameters import get_datatype
 
@@ -115,13 +118,7 @@ class FormulaNodelet(dyknow.Nodelet):
         present = {} if self.individuals is None else self.individuals.present()
         if present is None:
             return False
-        for variable, names in present.items():
-            self.publish(self.monitor.individuals(variable, names, now))
-        known = {"", *chain(*present.values())}
-        for port, individual in list(self.waiting):
-            if individual in known:
-                message = self.waiting.pop((port, individual))
-                self.publish(self.monitor.feed(port, message, now, individual))
+        self.publish(take_waiting(self.monitor, self.waiting, present, now))
         return True
 
     def wait(self) -> float:
@@ -129,7 +126,7 @@ class FormulaNodelet(dyknow.Nodelet):
         due = self.monitor.due
         return max(0.02, 0.1 if due is None else due - self.nh.get_time())
 
-    def publish(self, verdicts: list[Verdict]) -> None:
+    def publish(self, verdicts: Iterable[Verdict]) -> None:
         """Publish verdicts."""
         for verdict in verdicts:
             message = VerdictMessage(value=verdict.value, why=verdict.why)

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Iterator, Mapping
 
 import rospy
 
 from dyknow.backoff import Backoff
 from dyknow.errors import BadParameter, DyKnowError
-from dyknow.formulas import Formula
+from dyknow.formulas import Formula, Monitor, Verdict
 from dyknow.locks import state_lock
 from dyknow.manager.specifications.individual_tags import tag_of_individuals
 from dyknow.manager.specifications.tags import parse_tag
@@ -47,6 +47,27 @@ def tags_of_individuals(formula: Formula, tags: Mapping[str, str]) -> dict[str, 
         port: str(tag_of_individuals(port, parse_tag(tags[port]), range_))
         for port, range_ in wanted.items()
     }
+
+
+def take_waiting(
+    monitor: Monitor,
+    waiting: dict[tuple[str, str], Any],
+    present: Mapping[str, list[str]],
+    now: Any,
+) -> Iterator[Verdict]:
+    """Yield the verdicts that present individuals, and the messages that wait for them, decide.
+
+    Args:
+        monitor: makes them.
+        waiting: the last message of each port, of an individual; those that it hears are taken.
+        present: the individuals of each variable.
+        now: when the messages were received.
+    """
+    for variable, names in present.items():
+        yield from monitor.individuals(variable, names, now)
+    for port, individual in list(waiting):
+        if monitor.hears(port, individual):
+            yield from monitor.feed(port, waiting.pop((port, individual)), now, individual)
 
 
 class IndividualStreams:

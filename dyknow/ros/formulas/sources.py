@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import queue
 from functools import partial
-from itertools import chain
 from typing import Any, Callable, Iterator, Mapping, NamedTuple
 
 import rospy
 
 from dyknow.formulas import Monitor, Verdict
+from dyknow.ros.formulas.individuals import take_waiting
 
 #: Most seconds between two looks at the clock and the individuals.
 _PATIENCE = 0.1
@@ -73,11 +73,5 @@ class LiveTopics:
             if present is None:
                 continue
             now = rospy.Time.now() if received is None else received.when
-            for variable, names in present.items():
-                yield from monitor.individuals(variable, names, now)
-            known = {"", *chain(*present.values())}
-            for port, individual in list(self._waiting):
-                if individual in known:
-                    message = self._waiting.pop((port, individual))
-                    yield from monitor.feed(port, message, now, individual)
+            yield from take_waiting(monitor, self._waiting, present, now)
             yield from monitor.advance(now)

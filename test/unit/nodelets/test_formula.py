@@ -60,6 +60,19 @@ def test_messages_wait_until_their_individual_is_present(nodelet):
     assert nodelet.verdicts == [1, 1, 0, 0]
 
 
+def test_messages_wait_for_the_individual_of_their_own_variable(nodelet):
+    present: Dict[str, List[str]] = {"?c": [], "?d": ["left"]}
+    nodelet.individuals = SimpleNamespace(present=lambda: present)
+    nodelet.monitor = parse("some ?c (f and g) and every ?d (h)").monitor(1.0)
+    for port in "fh":
+        nodelet.on_message(port, "left", Bool(True))
+    present["?c"] = ["left"]
+    nodelet.on_message("g", "left", Bool(True))
+    nodelet.now = 3.0
+    nodelet.on_timer(None)
+    assert nodelet.verdicts == [1, 1]
+
+
 def test_a_formula_over_verdicts_sees_those_that_the_delay_decides(nodelet_harness):
     alive = {"formula": "age(beat) < 0.5 s", "out": "alive"}
     gone = {"formula": "not alive", "datatypes": {"alive": "dyknow_msgs/Verdict"}}
