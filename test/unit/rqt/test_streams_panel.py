@@ -80,10 +80,10 @@ def test_an_excluded_label_that_belongs_to_nothing_is_reported(qtbot, window, re
     panel = _ask_for(qtbot, window, "Track(ball)")
     panel.exclude.setText("bottom camra")
     click(qtbot, panel.preview)
-    until(qtbot, lambda: "did you mean bottom camera?" in window.line.text)
+    until(qtbot, lambda: "labelled 'bottom camra'" in window.line.text)
     click(qtbot, panel.acquire)
     until(qtbot, lambda: window.line.text.startswith("done: acquire Track(ball): on /"))
-    assert "did you mean bottom camera?" in window.line.text
+    assert "labelled 'bottom camra'" in window.line.text
 
 
 def test_what_variables_stand_for_is_shown(qtbot, window, remote):
