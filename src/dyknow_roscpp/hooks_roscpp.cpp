@@ -224,7 +224,7 @@ std::string NodeHandle::resolveName(const std::string& name, bool remap) const
   static const auto& roscpp = *new std::string(dyknow::libraryOf(reinterpret_cast<void*>(next)));
   std::string resolved = next(this, name, remap);
   // Of what roscpp resolves for itself, parameters and services, nothing is noted.
-  if (remap && !name.empty() && name[0] != '/' && dyknow::areHooksReached())
+  if (remap && !name.empty() && dyknow::areHooksReached())
   {
     const std::string caller = dyknow::libraryOf(__builtin_return_address(0));
     if (caller != roscpp && caller != dyknow::libraryOf(reinterpret_cast<void*>(&dyknow::roscppHooks)))

@@ -56,6 +56,12 @@ PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, 
   return {names::portOf(origin, owner.name), origin, ""};
 }
 
+/// The label of a port that the code calls by a global name.
+std::string globalLabel(const NodeletProxy& owner, const std::string& topic)
+{
+  return names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic;
+}
+
 /// The port of a resolved name on which no handle is open; its label is empty if there is none.
 PortName leftPort(const std::vector<NodeletProxy::NamedPort>& ports, const std::string& resolved,
                   Direction direction)
@@ -90,7 +96,9 @@ PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direc
   // image_transport puts a transport's topic below that of the image, and the camera's beside it.
   const auto last = resolved.rfind('/') + 1;
   const std::string space = names::parent(resolved);
-  if (const auto found = noted.find(space); found != noted.end())
+  const bool is_info = resolved.compare(last, std::string::npos, "camera_info") == 0;
+  // A global name may be that of a camera's namespace.
+  if (const auto found = noted.find(space); found != noted.end() && !(is_info && found->second[0] == '/'))
   {
     const std::string label = found->second + "/" + resolved.substr(last);
     return {label, names::globalOf(label, owner.name), found->second};
@@ -104,8 +112,7 @@ PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direc
     {
       return each.second == label && names::parent(each.first) == space;
     };
-    if (resolved.compare(last, std::string::npos, "camera_info") == 0 && port->direction == direction &&
-        std::any_of(noted.begin(), noted.end(), is_beside))
+    if (is_info && port->direction == direction && std::any_of(noted.begin(), noted.end(), is_beside))
     {
       const auto slash = label.rfind('/');
       const std::string before = slash != std::string::npos ? label.substr(0, slash + 1)
@@ -132,18 +139,35 @@ PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   {
     return known;
   }
-  return {names::isBelow(topic, owner.name) ? names::portOf(topic, owner.name) : topic, topic, ""};
+  return {globalLabel(owner, topic), topic, ""};
 }
 
 void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
                   const std::string& resolved)
 {
-  const auto port = relativePort(owner, handle, asked);
+  const bool is_global = asked[0] == '/';
+  const std::string clean = names::join("/", asked);
+  const auto label = is_global ? globalLabel(owner, clean) : relativePort(owner, handle, asked).label;
+  const auto ports = owner.ports();
+  const auto is_here = [&resolved](const auto& each)
+  {
+    return each.port->resolved == resolved;
+  };
+  // A global name may be that of a namespace, or the topic of a handle that the code asks for.
+  if (is_global && clean == resolved &&
+      (names::isBelow(names::join(owner.name, "any"), resolved) ||
+       std::any_of(ports.begin(), ports.end(), is_here)))
+  {
+    return;
+  }
   std::lock_guard<std::mutex> lock(tableLock());
   auto& noted = table()[owner.name];
-  if (noted.size() < MOST_NAMES)
+  const auto found = noted.find(resolved);
+  // image_transport resolves what its caller has resolved, whose name stays.
+  const bool is_free = !is_global || found == noted.end() || (found->second[0] == '/' && clean != resolved);
+  if (is_free && noted.size() < MOST_NAMES)
   {
-    noted[resolved] = port.label;
+    noted[resolved] = label;
   }
 }
 

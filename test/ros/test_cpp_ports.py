@@ -274,7 +274,13 @@ class PortTest(CppCase):
         self.manager.load(
             "Names",
             "/robot/names",
-            {"/robot/words": "/said", "/robot/left": "/right", "/robot/resolved": "/found"},
+            {
+                "/robot/words": "/said",
+                "/robot/left": "/right",
+                "/robot/resolved": "/found",
+                "/absolute": "/given",
+                "/robot/again": "/kept",
+            },
         )
         ports = {port.name: port for port in graph.get_config("/robot/names")}
         self.assertEqual(
@@ -288,11 +294,14 @@ class PortTest(CppCase):
                 "resolved": "/found",
                 "resolved/compressed": "/found/compressed",
                 "alone/compressed": "/robot/alone/compressed",
+                "/absolute": "/given",
+                "/absolute/compressed": "/given/compressed",
                 "annotated": "/robot/annotated",
                 "seen": "/robot/seen",
                 "camera_info": "/robot/camera_info",
                 "loop_out": "/robot/loop",
                 "loop_in": "/robot/loop",
+                "again": "/kept",
                 "text": "/robot/text",
                 "point": "/robot/point",
                 "verdict": "/robot/verdict",
@@ -300,8 +309,10 @@ class PortTest(CppCase):
         )
         self.assertEqual(ports["loop_in"].direction, Port.IN)
         self.assertEqual(ports["text"].datatype, "std_msgs/String")
-        connect("/robot/names", **{"/robot/words": "spoken", "~echo": "~inner"})
+        moves = {"/robot/words": "spoken", "~echo": "~inner", "/absolute": "/moved"}
+        connect("/robot/names", **moves)
         topics = {"words": "/robot/spoken", "~echo": "/robot/names/inner"}
+        topics["/absolute/compressed"] = "/moved/compressed"
         self.has_topics("/robot/names", **topics)
         self.assertIn("publishers /robot/spoken", graph.registered(MANAGER))
 

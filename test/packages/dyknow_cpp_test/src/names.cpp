@@ -29,6 +29,11 @@ class Names : public nodelet::Nodelet
     advertise(nh, nh.resolveName("resolved"));
     advertise(nh, nh.resolveName("resolved") + "/compressed");
     advertise(nh, nh.resolveName("alone") + "/compressed");
+    const std::string absolute = nh.resolveName("/absolute");
+    for (const auto& topic : {absolute, nh.resolveName(absolute) + "/compressed"})
+    {
+      advertise(nh, topic);
+    }
     const std::string seen = nh.resolveName("seen");
     for (const auto& topic :
          {nh.resolveName("annotated"), seen, ros::names::parentNamespace(seen) + "/camera_info"})
@@ -37,6 +42,8 @@ class Names : public nodelet::Nodelet
     }
     advertise(nh, "loop");
     subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
+    const std::string again = nh.subscribe("again", 1, &Names::onMessage, this).getTopic();
+    subscribers_.push_back(nh.subscribe(nh.resolveName(again), 1, &Names::onMessage, this));
     subscribers_.push_back(nh.subscribe("/clock", 1, &Names::onMessage, this));
     subscribers_.push_back(nh.subscribe("verdict", 1, &Names::onVerdict, this));
     strings_ = nh.advertise<std_msgs::String>("text", 1);
