@@ -187,7 +187,6 @@ class Silence(Limit):
         latched: list[Judgement] = []
         for place in sorted(stream.topics.keys() & flows.keys()):
             flow = flows[place]
-            allowed = limit if flow.begun else max(limit, FIRST_MESSAGE)
             suppliers = list(stream.suppliers(place))
             moving = [
                 senders
@@ -200,13 +199,17 @@ class Silence(Limit):
                 )
                 for senders in moving or suppliers
             )
-            if flow.silence > allowed and is_fed:
+            if _is_silent(flow, limit) and is_fed:
                 what = f"{described(place)} was silent for longer than {limit:g} s"
                 is_latched = flow.is_latched and place != stream.goal
                 (latched if is_latched else found).append(Judgement(place, limit, what))
         # What is latched may have sent all that it will: it is not to blame while the rest flows.
         goal = flows.get(stream.goal)
-        return found or ([] if goal is not None and goal.silence <= limit else latched)
+        return found or ([] if goal is not None and not _is_silent(goal, limit) else latched)
+
+
+def _is_silent(flow: Flow, limit: float) -> bool:
+    return flow.silence > (limit if flow.begun else max(limit, FIRST_MESSAGE))
 
 
 class _Cause(NamedTuple):

@@ -237,11 +237,14 @@ def test_a_latched_input_may_be_silent_while_the_stream_flows(field: Field) -> N
     ):
         source = f"lab/{label.title()}"
         field.manager.add_transformation(transformation(label, source, ports, tags))
+    field.spawn("map", "/map_1", config={"map": "/map_1/map"})
+    field.host.nodelet("/map_1").latched.add("map")
+    field.tick()
+    field.host.silent |= {"/map_1", "/place_1"}
+    field.host.topics.add("/map_1/map")  # the messages that are there
     field.acquire("Pose(robot)", max_silence=1.0)
     field.settle(2.0)
-    field.host.nodelet("/map_1").latched.add("map")
-    field.host.silent.add("/map_1")
-    field.host.topics.add("/map_1/map")  # the messages that are there
+    field.host.silent.remove("/place_1")  # it has been slow to start
     field.settle(12.0)
     assert field.reasons() == ["requested", FIRST_MESSAGE]
     field.host.silent.add("/place_1")
