@@ -11,7 +11,7 @@ from typing import Callable, Mapping, Sequence
 
 from dyknow.errors import DyKnowError, Refused
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import NodeletStatus, SpawnRequest
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -116,15 +116,37 @@ def spawning(request: SpawnRequest, client: BaseManagerClient) -> ReversibleStep
         if client.get_graph().nodelet(name) is None:
             return  # no answer came, and it was not made
         try:
-            if request.is_protected:
-                client.set_protection(name, False)
-            client.destroy(name)
+            destroy_own(request, client)
         except Refused as error:  # it is there: not as if it had not been made
             raise DyKnowError(str(error)) from error
 
+    def check() -> None:
+        found = client.get_graph().nodelet(name)
+        if found is not None:
+            check_own(found, request)
+
     return ReversibleStep(
-        f"spawning '{name}'", name, lambda: client.spawn_nodelet(request), destroy
+        f"spawning '{name}'", name, lambda: client.spawn_nodelet(request), destroy, check
     )
+
+
+def destroy_own(request: SpawnRequest, client: BaseManagerClient) -> None:
+    """Destroy the nodelet that was requested, even if it was to be protected."""
+    if request.is_protected:
+        client.set_protection(request.name, False)
+    client.destroy(request.name)
+
+
+def check_own(found: NodeletStatus, request: SpawnRequest) -> None:
+    """Check that a nodelet is the one that was requested, and not protected since.
+
+    Raises:
+        CannotUndo: another client has made or protected it.
+    """
+    if found.transformation != request.label:
+        raise CannotUndo(f"another client has made {found.name} from {found.transformation}")
+    if found.is_protected and not request.is_protected:
+        raise CannotUndo(f"another client has protected {found.name}")
 
 
 def check_connected(client: BaseManagerClient, nodelet: str, topics: Mapping[str, str]) -> None:

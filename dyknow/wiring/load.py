@@ -10,9 +10,9 @@ from functools import partial
 from typing import Iterator, Mapping
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.steps import CannotUndo, ReversibleStep, check_connected, spawning
+from dyknow.manager.steps import ReversibleStep, check_connected, spawning
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import NodeletStatus, SpawnRequest
+from dyknow.model.graph import SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, LoadPlan
@@ -80,29 +80,11 @@ def making(
     """Spawn a nodelet; ports that its transformation does not declare are connected then."""
     name = request.name
     declared, later = by_declaration(request, blueprint)
-
-    def check() -> None:
-        found = client.get_graph().nodelet(name)
-        if found is not None:
-            check_own(found, request)
-
-    yield replace(spawning(replace(request, config=declared), client), check=check)
+    yield spawning(replace(request, config=declared), client)
     if later:
         connect = partial(_connect_undeclared, name, later, client)
         # Nothing to undo: the connections go with the nodelet.
         yield ReversibleStep(f"connecting '{name}'", name, connect, lambda: None)
-
-
-def check_own(found: NodeletStatus, request: SpawnRequest) -> None:
-    """Check that a nodelet is the one that was requested, and not protected since.
-
-    Raises:
-        CannotUndo: another client has made or protected it.
-    """
-    if found.transformation != request.label:
-        raise CannotUndo(f"another client has made {found.name} from {found.transformation}")
-    if found.is_protected and not request.is_protected:
-        raise CannotUndo(f"another client has protected {found.name}")
 
 
 def make_again(

@@ -22,13 +22,20 @@ from typing import (
 )
 
 from dyknow.errors import DyKnowError, StreamRefused
-from dyknow.manager.steps import CannotUndo, ReversibleStep, carry_out, check_connected
+from dyknow.manager.steps import (
+    CannotUndo,
+    ReversibleStep,
+    carry_out,
+    check_connected,
+    check_own,
+    destroy_own,
+)
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import NODE, Parameter, Transformation
-from dyknow.wiring.load import by_declaration, check_own, make_again, making, steps_of
+from dyknow.wiring.load import by_declaration, make_again, making, steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -198,12 +205,7 @@ def spawn(request: SpawnRequest) -> Change:
             if name.startswith("/"):  # else it began in the manager's namespace
                 check_own(_nodelet(client, name), request)
 
-        def undo() -> None:
-            if request.is_protected:
-                client.set_protection(name, False)
-            client.destroy(name)
-
-        return partial(client.spawn_nodelet, request), undo, check
+        return partial(client.spawn_nodelet, request), partial(destroy_own, request, client), check
 
     return _one_step(f"create {name}", make)
 
