@@ -27,7 +27,7 @@ from dyknow import names
 from dyknow.nodelet.importer import Importer, Module, View
 from dyknow.ros.scripts.rospy_classes import bound_classes, wait_for, wait_for_service
 from dyknow.ros.scripts.sandbox import Sandbox
-from dyknow.ros.transport.node import LOGS, own_logs
+from dyknow.ros.transport.node import own_logs
 
 #: The submodules that are views; below rospy, everything else is the process's.
 _SUBMODULES = ("client", "core", "names", "rostime", "service", "topics")
@@ -134,7 +134,6 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
         return dict(sandbox.context.remappings) if sandbox.context is not None else {}
 
     members: dict[str, Any] = {name: of_handle(name) for name in _OF_HANDLE}
-    members.update({name: getattr(rospy, name) for name in LOGS})
     if not sandbox.is_alone:
         members.update(own_logs(sandbox.name))
     members.update(

@@ -28,7 +28,7 @@ from dyknow.ros.wire.master import Master
 #: Seconds of a wait between two looks whether the nodelet is still there.
 _SLICE = 1.0
 #: rospy's functions for the log.
-LOGS = frozenset(
+_LOGS = frozenset(
     f"log{level}{variant}"
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
@@ -75,12 +75,12 @@ def own_logs(name: str) -> dict[str, Callable[..., Any]]:
         for attribute, shared in vars(type(space[table])).items():
             if isinstance(shared, (dict, set)):
                 setattr(space[table], attribute, type(shared)())
-    for each in ("_base_logger", *LOGS):
+    for each in ("_base_logger", *_LOGS):
         space[each] = types.FunctionType(
             space[each].__code__, space, each, space[each].__defaults__
         )
     title = name.strip("/").replace("/", ".")
-    return {each: functools.partial(space[each], logger_name=title) for each in LOGS}
+    return {each: functools.partial(space[each], logger_name=title) for each in _LOGS}
 
 
 def _resolve_service(handle: Any, name: str) -> str:
@@ -142,7 +142,7 @@ class RospyNode(Node):
         return str(rospy.resolve_name(name))
 
     def member(self, name: str, handle: Any) -> Any:
-        if name in LOGS:
+        if name in _LOGS:
             logs = self._logs.get(handle.context)
             if logs is None:
                 logs = self._logs.setdefault(handle.context, own_logs(handle.get_name()))
