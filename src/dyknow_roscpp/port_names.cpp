@@ -148,17 +148,19 @@ void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   const bool is_global = asked[0] == '/';
   const std::string clean = names::join("/", asked);
   const auto label = is_global ? globalLabel(owner, clean) : relativePort(owner, handle, asked).label;
-  const auto ports = owner.ports();
-  const auto is_here = [&resolved](const auto& each)
+  if (is_global && clean == resolved)
   {
-    return each.port->resolved == resolved;
-  };
-  // A global name may be that of a namespace, or the topic of a handle that the code asks for.
-  if (is_global && clean == resolved &&
-      (names::isBelow(names::join(owner.name, "any"), resolved) ||
-       std::any_of(ports.begin(), ports.end(), is_here)))
-  {
-    return;
+    const auto ports = owner.ports();
+    const auto is_here = [&resolved](const auto& each)
+    {
+      return each.port->resolved == resolved;
+    };
+    // It may be the name of a namespace, or the topic of a handle that the code asks for.
+    if (names::isBelow(names::join(owner.name, "any"), resolved) ||
+        std::any_of(ports.begin(), ports.end(), is_here))
+    {
+      return;
+    }
   }
   std::lock_guard<std::mutex> lock(tableLock());
   auto& noted = table()[owner.name];
