@@ -334,7 +334,7 @@ class ScriptEnded(NodeletError):
         super().__init__(name, f"script '{name}' has ended: sys.exit({code!r})")
 
 
-#: The need of what only one of a process can do.
+#: Where a script can do what only one of a process can.
 _PROCESS = "a process of its own; spawn it isolated, or run it with 'nodelet standalone_script'"
 
 

@@ -211,6 +211,8 @@ class ClaimPlanner:
 
     def _with_absent(self, situation: Situation, answer: NoPlan) -> NoPlan:
         """Name the described topics and nodes that supply a missing demand once they are there."""
+        if not answer.missing:
+            return answer
         library, running = self._manager.library, self._world().described_nodes
         absent = {
             f"topic {each.source} is not published": each

@@ -34,7 +34,7 @@ COPIED = frozenset(("argparse", "optparse", "queue"))
 _TOOLKITS = (
     "PyQt5 PyQt6 PySide2 PySide6 gi kivy pygame pynput python_qt_binding tkinter wx"
 ).split()
-#: The need of the keyboard, which processes that a manager starts do not have.
+#: Where the keyboard can be read: a process that a manager starts has none.
 _TERMINAL = "a terminal; run it in one with 'dyknow run'"
 _REFUSED = {
     "cv2": "destroyAllWindows imshow namedWindow waitKey".split(),
