@@ -113,7 +113,7 @@ def test_a_dead_master_blocks_no_registration_and_receives_it_later(master, regi
     registrar.reg_added("/b", STRING, "pub")
     eventually(lambda: "/b" in master.registered)
     registrar.reg_removed("/a", STRING, "pub")
-    eventually(lambda: "/a" not in master.registered)  # it may have been under way
+    eventually(lambda: "/a" not in master.registered)  # by the worker, if that is at work
 
 
 def test_a_node_that_lost_its_name_meanwhile_registers_nothing(master, registrar):
