@@ -6,8 +6,9 @@
 1. The old process starts to note the messages that the nodelet receives (``note``).
 2. The new one connects to the same topics and keeps their messages (``park``): once all
    publishers are connected no message passes by both. Subscribers connect to it, too.
-3. The old one drains its sockets, disconnects the nodelet, waits until its callbacks
-   have returned and all that it published is sent, and unloads it (``give``).
+3. The old one waits for what publishers have queued, drains its sockets, disconnects the nodelet,
+   waits until its callbacks have returned and all that it published is sent, and unloads it
+   (``give``).
 4. The new one drops the messages that the nodelet has received, and puts those that waited for it
    in the old one before the rest (``take``). The nodelet is loaded there as ever, and its
    subscriptions take these messages over.
@@ -46,6 +47,8 @@ from dyknow.periodic import in_background
 
 #: Seconds for publishers and subscribers to connect to the new process.
 PATIENCE = 2.0
+#: Seconds for publishers to send what they have queued; those of slow topics cost that much.
+_CATCH_UP = 0.25
 #: Seconds to drain the sockets of a nodelet, and for its callback to return.
 LONGEST_END = 3.0
 #: Seconds after which an unfinished move is abandoned.
@@ -214,9 +217,12 @@ class HandOvers(Closable):
             raise CannotMove(name, _ELSEWHERE)
         registrations = None
         try:
-            for each in connections:
-                if each.outside is not None:  # some may have been sent before the new one came
-                    each.outside.drain(max(0.0, deadline - time.monotonic()))
+            outside = [each.outside for each in connections if each.outside is not None]
+            until = time.monotonic() + _CATCH_UP
+            for registration in outside:  # some may have been published before the new one came
+                registration.catch_up(max(0.0, until - time.monotonic()))
+            for registration in outside:
+                registration.drain(max(0.0, deadline - time.monotonic()))
             if not move.ended.is_set():
                 registrations = self._runtime.bus.detach(connections, move.outputs)
         finally:

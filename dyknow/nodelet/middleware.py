@@ -130,6 +130,9 @@ class OutsideSubscriber(Closable):
         """Addresses of publishers that answer, and did not send to us when ``wait`` ended."""
         return []
 
+    def catch_up(self, seconds: float) -> None:
+        """Wait until each publisher has sent what it had queued before, as far as that shows."""
+
     @abstractmethod
     def drain(self, seconds: float) -> None:
         """Drain the sockets, then stop reading; give up after ``seconds``."""

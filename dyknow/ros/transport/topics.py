@@ -286,6 +286,19 @@ class RospySubscriber(OutsideSubscriber):
         except (PeerTimeout, LookupError):
             return False
 
+    def catch_up(self, seconds: float) -> None:
+        """Wait until each connection has brought a message, or time is up.
+
+        A publisher that gets no processor time has messages queued, which its thread sends at once
+        when it goes on. They are not in our sockets yet, so ``drain`` does not find them.
+        """
+        came = {each: each.stat_num_msg for each in self.links()}
+        _wait_while(
+            lambda each: not each.done and each.stat_num_msg == came[each],
+            [*came],
+            time.monotonic() + seconds,
+        )
+
     def drain(self, seconds: float) -> None:
         """Stop reading: rospy's threads deliver what their sockets hold, and end.
 

@@ -111,6 +111,24 @@ def test_a_message_that_has_come_in_part_is_received_before_the_topic_is_left(
     assert topic.received == [(name, "whole" * 1000) for name in names]
 
 
+def test_messages_that_a_publisher_has_queued_are_awaited(topic, monkeypatch):
+    leaving = topic.subscribe("one")
+    queued = [frame("first") + frame("last")]
+
+    def sleep(seconds):
+        if queued:
+            topic.publisher.sendall(queued.pop())
+        time.sleep(seconds)
+
+    monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
+    leaving.catch_up(0.0)
+    assert queued, "it waits for no time"
+    leaving.catch_up(PATIENCE)
+    leaving.drain(PATIENCE)
+    assert topic.received == [("one", "first"), ("one", "last")]
+    leaving.catch_up(PATIENCE)  # the connection has ended
+
+
 def test_a_message_that_does_not_come_wholly_is_not_awaited_for_ever(topic):
     leaving = topic.subscribe("one")
     topic.publisher.sendall(frame("part")[:5])
