@@ -41,7 +41,7 @@ IDLE = 64 << 20
 #: Seconds for which regions stay that were sent over a connection which has ended since.
 LINGER = 10.0
 #: Seconds that the other side may take to hand out its file.
-_PATIENCE = 1.0
+_PATIENCE = 10.0
 _LEAST = 64 << 20  # bytes of the file, of which only regions take memory
 #: Precedes the content of a region: its number, of which no other one has the same.
 _NUMBER = struct.Struct("<Q")
