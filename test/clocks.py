@@ -16,12 +16,12 @@ from dyknow.simulated import SimulatedClock
 PATIENCE = 60.0
 
 
-def eventually(condition: Callable[[], object]) -> None:
-    """Wait until a condition holds that other threads bring about."""
+def eventually(condition: Callable[[], object], period: float = 0.005) -> None:
+    """Wait until a condition holds that other threads bring about; look each ``period`` s."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "it did not become true"
-        time.sleep(0.005)
+        time.sleep(period)
 
 
 def wait_for(event: threading.Event) -> None:
@@ -55,7 +55,7 @@ class SteppedClock(Clock):
     def __init__(self) -> None:
         self._now = 0.0
         self._sleeping: Dict[int, Tuple[threading.Condition, float]] = {}
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
 
     def now(self) -> float:
         return self._now
@@ -63,24 +63,27 @@ class SteppedClock(Clock):
     def wait(self, condition: threading.Condition, seconds: Optional[float]) -> None:
         deadline = float("inf") if seconds is None else self._now + seconds
         thread = threading.get_ident()
-        with self._changed:
+        with self._lock:
             self._sleeping[thread] = (condition, deadline)
-            self._changed.notify_all()
         condition.wait()
-        with self._changed:
+        with self._lock:
             self._sleeping.pop(thread, None)
 
     def settle(self, threads: int = 1) -> None:
-        """Wait until so many threads sleep."""
-        with self._changed:
-            assert self._changed.wait_for(lambda: len(self._sleeping) == threads, PATIENCE)
+        """Wait until so many threads sleep, and none of them is about to wake up."""
+        eventually(lambda: self._asleep() == threads, 0.0005)
+
+    def _asleep(self) -> int:
+        with self._lock:
+            sleeping = [condition for condition, _ in self._sleeping.values()]
+        return min(len(sleeping), sum(len(each._waiters) for each in {*sleeping}))  # type: ignore[attr-defined]
 
     def advance(self, seconds: float, threads: int = 1) -> None:
         """Move on from deadline to deadline, each once so many threads sleep."""
         end = self._now + seconds
         while True:
             self.settle(threads)
-            with self._changed:
+            with self._lock:
                 self._now = min([end, *(deadline for _, deadline in self._sleeping.values())])
                 due = [key for key, (_, when) in self._sleeping.items() if when <= self._now]
                 conditions = [self._sleeping.pop(key)[0] for key in due]
