@@ -6,6 +6,14 @@
 from __future__ import annotations
 
 import pytest
+from clocks import PATIENCE
+
+
+@pytest.fixture(autouse=True)
+def patient_window(request, monkeypatch):
+    """No window takes a manager for silent because the machine is busy."""
+    if "qtbot" in request.fixturenames:
+        monkeypatch.setattr("dyknow_rqt.graph.contact.PATIENCE", PATIENCE)
 
 
 @pytest.fixture

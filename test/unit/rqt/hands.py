@@ -34,7 +34,8 @@ HSV_IN = PortRef("/nao1/line_detector", "hsv")
 def window_of(qtbot, remote, size=(1400, 800)):
     """A window that is shown and reads."""
     window = DyKnowWidget(remote)
-    qtbot.addWidget(window, before_close_func=lambda w: w.shut_down())
+    # Which refers to it: qtbot itself forgets a window that a test has let go, and it would go on.
+    qtbot.addWidget(window, before_close_func=lambda unused: window.shut_down())
     window.resize(*size)
     window.show()
     window.start()
@@ -106,7 +107,8 @@ def no_boxes():
 
 
 def vertex_keys(window):
-    return set(window.graph.view.scene().vertices)
+    """Keys of the last drawing that is complete."""
+    return {vertex.key for vertex in window.graph.drawn.vertices}
 
 
 def cells_of(table, row):

@@ -192,7 +192,7 @@ def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, wind
     until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker_2") is None)
-    assert topic(remote, CEILING) == ""
+    until(qtbot, lambda: topic(remote, CEILING) == "")
     remote.client.set_config("/field/tracker", {"position": ""})
     until(qtbot, lambda: window.monitor.snapshot.port(TRACKER).topic == "")
     wait_for_drawing(qtbot, window)

@@ -12,7 +12,7 @@ import pytest
 from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QWheelEvent
 from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
-from unit.rqt.hands import centre_of, drag, until, vertex_keys
+from unit.rqt.hands import centre_of, drag, is_settled, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.pictures import save
@@ -29,6 +29,7 @@ def test_hovering_lights_up_the_neighbours(qtbot, window, remote):
     remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
     loop = {("n_/nao1/resize", "t_/nao1/top_camera/yuv")}
     until(qtbot, lambda: loop <= {(edge.tail, edge.head) for edge in scene.edges})
+    until(qtbot, lambda: is_settled(window))
     scene.highlight("n_/nao1/resize")
     assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
 

@@ -74,7 +74,7 @@ def test_what_is_hidden_stays_selected_in_the_table_and_an_arrow_does_not(qtbot,
     window.graph.bar.nodelets.setText("/nao1")
     until(qtbot, lambda: "n_/field/tracker" not in vertex_keys(window))
     assert window.active.table.chosen() == ["/field/tracker"]
-    assert window.selection.edges == []
+    until(qtbot, lambda: window.selection.edges == [])
     window.graph.bar.nodelets.clear()
     until(qtbot, lambda: "n_/field/tracker" in drawn_selection(window))
 

@@ -223,7 +223,7 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     assert source.tone is Tone.KEPT
     window.tabs.setCurrentWidget(window.active)
     until(qtbot, lambda: ghost not in vertex_keys(window))
-    assert source.tone is Tone.NONE
+    until(qtbot, lambda: source.tone is Tone.NONE)
     window.tabs.setCurrentWidget(panel)
     click(qtbot, panel.acquire)
     until(

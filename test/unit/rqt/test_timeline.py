@@ -5,12 +5,22 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import TRACKER, centre_of, context_menu, drag, topic, until, vertex_keys
+from unit.rqt.hands import (
+    TRACKER,
+    centre_of,
+    context_menu,
+    drag,
+    is_settled,
+    topic,
+    until,
+    vertex_keys,
+)
 from unit.rqt.test_graph import nodelet
 
 from dyknow.model.graph import PortRef, State
@@ -90,8 +100,8 @@ def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remo
     scene = window.graph.view.scene()
     assert not any(item.mark for item in scene.vertices.values())
     remote.client.spawn("tracker", "/field/another", {"position": BALL})
-    until(qtbot, lambda: scene.vertices.get("n_/field/another"))
-    assert scene.vertices["n_/field/another"].mark is Mark.CAME
+    until(qtbot, lambda: "n_/field/another" in scene.vertices)
+    until(qtbot, lambda: scene.vertices["n_/field/another"].mark is Mark.CAME)
     plain = window.graph.view.grab().toImage()
     remote.client.set_config("/nao1/resize", {"image": "/nao1/bottom_camera/yuv"})
 
@@ -101,6 +111,7 @@ def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remo
     until(qtbot, lambda: arrow() and arrow().mark is Mark.MOVED)
     remote.client.destroy("/nao1/recorder")
     until(qtbot, lambda: "n_/nao1/recorder" not in scene.vertices)
+    until(qtbot, lambda: is_settled(window))
     ghost = marks.ghosts["/nao1/recorder"]
     assert scene.facts.tip_of(ghost) == "/nao1/recorder\nremoved"
     assert ghost.mark is Mark.WENT and ghost.scene() is scene and not ghost.isEnabled()
@@ -141,17 +152,27 @@ def test_what_replaces_another_is_linked_with_it(qtbot, window, remote, marks):
 
 
 @pytest.fixture
-def track(qtbot, window, remote):
-    """The time-line of four moments, opened with its key."""
-    for change in (
+def track(qtbot, window, remote, monkeypatch):
+    """The time-line of four moments that are ten seconds apart, opened with its key."""
+    clock, monitor = SimpleNamespace(**vars(time)), window.monitor
+    monkeypatch.setattr("dyknow_rqt.timeline.time", clock)
+
+    def is_read():
+        names = [{each.name for each in of.nodelets} for of in (monitor.snapshot, remote.graph())]
+        claims = [len(of) for of in (monitor.streams, remote.client.list_streams())]
+        return names[0] == names[1] and claims[0] == claims[1]
+
+    changes = (
         lambda: remote.client.spawn("tracker", "/field/another", {"position": BALL}),
         lambda: remote.client.acquire_stream(StreamRequest("Track(ball)")),
         lambda: remote.client.destroy("/nao1/recorder"),
-    ):
-        count = len(window.graph.timeline.moments.all)
+    )
+    for number, change in enumerate(changes, 1):
+        moment = time.time() + 10 * number
+        clock.time = lambda moment=moment: moment
         change()
-        until(qtbot, lambda count=count: len(window.graph.timeline.moments.all) > count)
-        qtbot.wait(600)  # a later change is another moment
+        until(qtbot, is_read)
+    assert len(window.graph.timeline.moments.all) == len(changes) + 1
     window.graph.view.setFocus()
     qtbot.keyClick(window.graph.view, Qt.Key_F7)
     assert window.graph.timeline.isVisible()
@@ -170,7 +191,7 @@ def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, t
     until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
     until(qtbot, lambda: "n_/field/another" not in vertex_keys(window))
     assert "as it was; to now: + /field/another, − /nao1/recorder" in timeline.words.text()
-    assert scene.vertices["n_/nao1/recorder"].mark is Mark.WENT
+    until(qtbot, lambda: scene.vertices["n_/nao1/recorder"].mark is Mark.WENT)
     assert scene.backgroundBrush().color() != paper
     until(qtbot, lambda: all(item.traffic is None for item in scene.edges.values()))
     qtbot.keyClick(track, Qt.Key_Right)

@@ -71,7 +71,8 @@ def test_a_change_begins_from_the_graph_that_the_last_one_left(qtbot, remote, mo
         ports = remote.client.get_config(name)
         return {port.name: port.topic for port in ports}["position"]
 
-    until(qtbot, lambda: monitor.is_linked and monitor.snapshot.nodelet(name) and monitor.library)
+    until(qtbot, lambda: monitor.snapshot.nodelet(name) and monitor.library)
+    until(qtbot, lambda: not monitor.obstacle)
     assert connected() == "/field/ball"
     for change in (connect_topic(monitor.snapshot, TRACKER, "/other"), destroy(name)):
         monitor.do(change)
