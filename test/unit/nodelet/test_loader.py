@@ -11,7 +11,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from clocks import eventually, in_thread, join, wait_for
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import Idle, Message, numbers, pool_world
 
 from dyknow.errors import (
@@ -140,11 +140,11 @@ def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, monkeypatch)
     wait_for(entered)
     with pytest.raises(UnknownNodelet):
         loader.unload("/n")
-    loading, outcome = load_in_thread(loader, "/n", "idle")
-    assert not outcome
     monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
     with pytest.raises(NameTaken, match="'/n' is still being unloaded"):
         loader.load("/n", "idle")
+    monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", PATIENCE)
+    loading, outcome = load_in_thread(loader, "/n", "idle")
     opened.set()
     join(unloading, loading)
     assert type(outcome[0]) is Idle

@@ -17,7 +17,7 @@ from unit.nodelet.fakes import FakeClock, Idle, Message, World, numbers, pool_wo
 from dyknow.errors import HandleClosed, UnknownNodelet
 from dyknow.nodelet import loader as loader_module
 from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loader import SHUTDOWN_PATIENCE, Loader
 from dyknow.nodelet.local import LocalPublisher
 
 world = pool_world(3)
@@ -199,8 +199,9 @@ class TestOnShutdown:
         assert order == ["callback", "on_shutdown"]
         assert numbers(got) == [1]
 
-    def test_is_waited_for_a_second_at_most(self, world, caplog):
-        assert loader_module.SHUTDOWN_PATIENCE == 1.0
+    def test_is_waited_for_a_second_at_most(self, world, caplog, monkeypatch):
+        assert SHUTDOWN_PATIENCE == 1.0
+        monkeypatch.setattr(loader_module, "SHUTDOWN_PATIENCE", SHUTDOWN_PATIENCE)
         release = threading.Event()
 
         class Stubborn(Nodelet):
