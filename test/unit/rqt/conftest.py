@@ -26,13 +26,13 @@ def remote():
 @pytest.fixture
 def window(qtbot, remote):
     """The whole window, once it shows the graph at its final places."""
-    from unit.rqt.hands import is_settled, until, window_of
+    from unit.rqt.hands import is_ready, is_settled, until, window_of
 
     widget = window_of(qtbot, remote)
     with qtbot.waitActive(widget):
         widget.activateWindow()
     until(qtbot, lambda: len(widget.graph.drawn.vertices) > 15 and widget.monitor.library)
     # Before that changes are refused, or count as another manager's.
-    until(qtbot, lambda: not widget.monitor.obstacle)
+    until(qtbot, lambda: is_ready(widget))
     until(qtbot, lambda: is_settled(widget))
     return widget

@@ -47,6 +47,11 @@ def until(qtbot, condition):
     qtbot.waitUntil(lambda: bool(condition()), timeout=120_000)
 
 
+def is_ready(window):
+    """Whether a change can begin, and no late answer makes the window read everything anew."""
+    return bool(window.monitor.heart._address) and not window.monitor.obstacle
+
+
 def is_settled(window):
     """Whether all that was requested is laid out and drawn."""
     graph, scene = window.graph, window.graph.view.scene()
@@ -79,7 +84,7 @@ def move(view, place):
 
 def create(qtbot, window, name):
     """Make a nodelet, and wait until the window knows it."""
-    until(qtbot, lambda: not window.monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     window.monitor.do(spawn(SpawnRequest("tracker", name)))
     until(qtbot, lambda: not window.monitor.is_changing)
     until(qtbot, lambda: window.monitor.snapshot.nodelet(name) is not None)

@@ -16,7 +16,7 @@ from clocks import PATIENCE
 from python_qt_binding.QtCore import QEvent, QObject, QSize, QTimer
 from python_qt_binding.QtGui import QPalette
 from python_qt_binding.QtWidgets import QApplication, QMainWindow, QWidget
-from unit.rqt.hands import TRACKER, click, create, pauses, until, vertex_keys, window_of
+from unit.rqt.hands import TRACKER, click, create, is_ready, pauses, until, vertex_keys, window_of
 
 from dyknow.model.graph import SpawnRequest
 from dyknow_rqt.example_graphs import tree
@@ -72,7 +72,7 @@ def test_a_change_begins_from_the_graph_that_the_last_one_left(qtbot, remote, mo
         return {port.name: port.topic for port in ports}["position"]
 
     until(qtbot, lambda: monitor.snapshot.nodelet(name) and monitor.library)
-    until(qtbot, lambda: not monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     assert connected() == "/field/ball"
     for change in (connect_topic(monitor.snapshot, TRACKER, "/other"), destroy(name)):
         monitor.do(change)
