@@ -36,7 +36,9 @@ _IMPATIENCE = 5.0
 _MOST = 1000
 #: Seconds in which every subscriber has noticed that a topic is gone.
 LATELY = 60.0
-#: Seconds before the first reminder, and before the last; the pauses double.
+#: Seconds before the first reminder: one that is only busy answers within them, as a rule.
+_PATIENCE = 2.0
+#: The pauses after it double, from the first to the last.
 _FIRST_PAUSE, _LAST_PAUSE = 1.0, 16.0
 _STEP = 0.1
 
@@ -192,7 +194,7 @@ class Reminders:
             withdrawn = self._withdrawn.pop(topic, None)
             if not notified or withdrawn is None or now - withdrawn >= LATELY:
                 return
-            self._open[topic] = _Reminder(datatype, notified, now + _FIRST_PAUSE)
+            self._open[topic] = _Reminder(datatype, notified, now + _PATIENCE)
         self._worker.start()
         self._worker.wake()
 
