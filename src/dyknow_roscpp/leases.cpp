@@ -34,10 +34,7 @@ constexpr int PATIENCE_MS = 400;
 /// The topic in `producers` whose messages a topic carries, maybe in another form; empty if there is none.
 std::string claimed(const Leases::Producers& producers, const std::string& topic)
 {
-  const auto last = topic.rfind('/');
-  const auto& forms = shared::FORMS;
-  const bool is_form = std::count(std::begin(forms), std::end(forms), topic.substr(last + 1)) > 0;
-  for (const auto& each : {topic, is_form ? topic.substr(0, last) : ""})
+  for (const auto& each : {topic, names::imageOf(topic)})
   {
     if (producers.count(each) > 0)
     {

@@ -5,7 +5,9 @@
 
 #include <algorithm>
 #include <cctype>
+#include <iterator>
 
+#include "dyknow_shared.h"
 #include "problems.h"
 
 namespace dyknow::names
@@ -116,6 +118,15 @@ std::string portOf(const std::string& name, const std::string& node)
 std::string base(const std::string& port)
 {
   return port.substr(std::min(port.find_first_not_of("~/"), port.size()));
+}
+
+std::string imageOf(const std::string& name)
+{
+  const auto slash = name.rfind('/');
+  const auto& forms = shared::FORMS;
+  const bool is_form = slash != std::string::npos && slash > 0 &&
+                       std::count(std::begin(forms), std::end(forms), name.substr(slash + 1)) > 0;
+  return is_form ? name.substr(0, slash) : "";
 }
 
 std::string globalOf(const std::string& port, const std::string& node)

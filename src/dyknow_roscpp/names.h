@@ -39,6 +39,9 @@ std::string portOf(const std::string& name, const std::string& node);
 /// The name of a port without the `~` or `/` that says where it begins.
 std::string base(const std::string& port);
 
+/// The image whose messages a topic, or a port, of image_transport has in another form; empty if it is none.
+std::string imageOf(const std::string& name);
+
 /// The global name of a port, before any remapping.
 std::string globalOf(const std::string& port, const std::string& node);
 

@@ -107,6 +107,16 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
   {
     first = topicBeside(port_name, image->port->topic());
   }
+  else if (image == known.end() && direction == Direction::IN && !port_name.image.empty() &&
+           first == port_name.origin)
+  {
+    // image_transport subscribes to a form of an image by its own name; the load remaps that of the image.
+    const auto remappings = this->remappings();
+    if (const auto given = remappings.find(names::globalOf(port_name.image, name)); given != remappings.end())
+    {
+      first = topicBeside(port_name, topicAtStart(given->second));
+    }
+  }
   if (find(port_name.label) == known.end())
   {
     first = Guards::permitted(first, name);

@@ -53,7 +53,8 @@ PortName relativePort(const NodeletProxy& owner, const ros::NodeHandle& handle, 
     space = names::beforeRemapping(space, remappingsOf(owner));
   }
   const std::string origin = names::join(space, name);
-  return {names::portOf(origin, owner.name), origin, ""};
+  const std::string label = names::portOf(origin, owner.name);
+  return {label, origin, names::imageOf(label)};
 }
 
 /// The label of a port that the code calls by a global name.
@@ -139,7 +140,8 @@ PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   {
     return known;
   }
-  return {globalLabel(owner, topic), topic, ""};
+  const std::string label = globalLabel(owner, topic);
+  return {label, topic, names::imageOf(label)};
 }
 
 void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,

@@ -298,6 +298,7 @@ class PortTest(CppCase):
                 "/absolute/compressed": "/given/compressed",
                 "annotated": "/robot/annotated",
                 "seen": "/robot/seen",
+                "form/compressed": "/robot/form/compressed",
                 "camera_info": "/robot/camera_info",
                 "loop_out": "/robot/loop",
                 "loop_in": "/robot/loop",
@@ -338,6 +339,21 @@ class PortTest(CppCase):
             answer = set_config_pairs("/names", *config)
             self.assertTrue(answer.success, answer.message)
             self.has_topics("/names", **{"alone/compressed": topic})
+
+    def test_a_form_of_an_image_that_is_subscribed_to_by_its_own_name(self):
+        """As image_transport's Subscriber does, whose names roscpp remaps by themselves."""
+        for start, compressed in (
+            ({"/form": "/names/disconnected/form"}, ""),
+            ({"/form": "/cam/y"}, "/cam/y/compressed"),
+            ({"/form": "/cam/y", "/form/compressed": "/own"}, "/own"),
+            ({}, "/form/compressed"),
+        ):
+            with self.subTest(start=start):
+                self.manager.load("Names", "/names", start)
+                self.has_topics("/names", **{"form/compressed": compressed})
+                connect("/names", form="/cam/x")
+                self.has_topics("/names", **{"form/compressed": "/cam/x/compressed"})
+                self.manager.unload("/names")
 
     def test_camera_info_goes_with_the_image_that_was_subscribed_to_before_it(self):
         """Other images of both directions are in its namespace."""

@@ -40,6 +40,7 @@ class Names : public nodelet::Nodelet
     {
       subscribers_.push_back(nh.subscribe(topic, 1, &Names::onMessage, this));
     }
+    subscribers_.push_back(nh.subscribe("form/compressed", 1, &Names::onMessage, this));
     advertise(nh, "loop");
     subscribers_.push_back(nh.subscribe("loop", 1, &Names::onMessage, this));
     const std::string again = nh.subscribe("again", 1, &Names::onMessage, this).getTopic();
