@@ -342,14 +342,14 @@ class PortTest(CppCase):
 
     def test_a_form_of_an_image_that_is_subscribed_to_by_its_own_name(self):
         """As image_transport's Subscriber does, whose names roscpp remaps by themselves."""
-        for start, compressed in (
+        for remappings, compressed in (
             ({"/form": "/names/disconnected/form"}, ""),
             ({"/form": "/cam/y"}, "/cam/y/compressed"),
             ({"/form": "/cam/y", "/form/compressed": "/own"}, "/own"),
             ({}, "/form/compressed"),
         ):
-            with self.subTest(start=start):
-                self.manager.load("Names", "/names", start)
+            with self.subTest(remappings=remappings):
+                self.manager.load("Names", "/names", remappings)
                 self.has_topics("/names", **{"form/compressed": compressed})
                 connect("/names", form="/cam/x")
                 self.has_topics("/names", **{"form/compressed": "/cam/x/compressed"})
