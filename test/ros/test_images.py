@@ -108,6 +108,7 @@ class TransportTest(SharedMemoryCase):
         self.talks(queue_size=1000)
         self.listens()
         heard = self.enter(Heard("/a", Image, lambda image: (image.height, is_whole(image))))
+        eventually(lambda: graph.is_linked("/a", 2), 10.0, "both are connected")
         counter = self.run_process("rostopic", "hz", "/a")
         call("/talker", "publish", 1, LARGE)
         self.is_linked("SHMROS", "TCPROS", "TCPROS")
