@@ -25,7 +25,7 @@ namespace
 
 constexpr int PUBLISHERS = 0;
 constexpr int SUBSCRIBERS = 1;
-constexpr std::chrono::milliseconds NODE_PATIENCE(200);
+constexpr std::chrono::milliseconds NODE_PATIENCE(500);
 
 /// The type of a topic in a list of pairs; empty if it is not there, or matches any.
 std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)

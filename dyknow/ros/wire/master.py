@@ -29,7 +29,7 @@ _LOG_PARAMETER = "/rosout_disable_topics_generation"
 #: Connections that are kept for the next question; each takes a thread of the master.
 _KEPT = 2
 #: Seconds for a node to list its subscriptions, while a switch waits for them.
-_AT_ONCE = 0.2
+_AT_ONCE = 0.5
 
 Question = Tuple[Any, ...]
 """A function of the master's API and its arguments, of which the first is the caller."""
