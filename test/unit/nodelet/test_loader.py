@@ -145,6 +145,7 @@ def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, monkeypatch)
         loader.load("/n", "idle")
     monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", PATIENCE)
     loading, outcome = load_in_thread(loader, "/n", "idle")
+    assert not outcome
     opened.set()
     join(unloading, loading)
     assert type(outcome[0]) is Idle
