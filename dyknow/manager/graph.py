@@ -24,6 +24,8 @@ from dyknow.periodic import STEADY, Clock
 
 #: Seconds to wait for a look, or another operation, to be done with a nodelet.
 PATIENCE = 5.0
+#: Seconds to wait for a nodelet that is being made: its nodelet manager may have to start first.
+_BEING_MADE = 30.0
 #: Revisions that are reserved on disk at a time, so that not every change has to be written.
 _BLOCK = 1000
 
@@ -123,6 +125,18 @@ class Graph:
             with self._changed:
                 self._busy.discard(name)
                 self._changed.notify_all()
+
+    @contextlib.contextmanager
+    def changing_present(self, name: str) -> Iterator[Record]:
+        """Reserve a nodelet that is there, once it is if it is being made; yields its record.
+
+        Raises:
+            UnknownNodelet: there is none.
+            Busy: another operation works on it for long.
+        """
+        patience = PATIENCE if name in self.records else _BEING_MADE
+        with self.changing(name, patience=patience):
+            yield self.get(name)
 
     def _check_new(self, name: str, most: int) -> None:
         if name in self.records:

@@ -474,11 +474,7 @@ class Lifecycle:
 
     def destroy(self, name: str) -> None:
         """Destroy a nodelet; if its process does not answer in time, as soon as it does."""
-        self._graph.get(name)
-        with self._graph.changing(name, patience=PATIENCE) as record:
-            if record is None:
-                self._graph.get(name)
-                return
+        with self._graph.changing_present(name) as record:
             if record.is_protected:
                 raise Protected(name)
             state = self._host.states().get(record.manager)

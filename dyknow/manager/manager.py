@@ -29,7 +29,6 @@ from dyknow.errors import (
     HostTimeout,
     InvalidParameters,
 )
-from dyknow.manager.graph import PATIENCE
 from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.observer import Observer
 from dyknow.manager.record import Record, with_present_ports
@@ -187,9 +186,8 @@ class Manager:
     @contextlib.contextmanager
     def _changing_spawned(self, name: str) -> Iterator[Record]:
         """Reserve a nodelet that this manager made."""
-        self.graph.get(name)
-        with self.graph.changing(name, patience=PATIENCE) as record:
-            if record is None or not record.is_spawned:
+        with self.graph.changing_present(name) as record:
+            if not record.is_spawned:
                 raise HostError(f"nodelet '{name}' was not spawned by this manager")
             yield record
 

@@ -113,12 +113,11 @@ def spawning(request: SpawnRequest, client: BaseManagerClient) -> ReversibleStep
     name = request.name
 
     def destroy() -> None:
-        if client.get_graph().nodelet(name) is None:
-            return  # no answer came, and it was not made
         try:
-            destroy_own(request, client)
-        except Refused as error:  # it is there: not as if it had not been made
-            raise DyKnowError(str(error)) from error
+            destroy_own(request, client)  # if no answer came, also one that is still being made
+        except Refused as error:
+            if client.get_graph().nodelet(name) is not None:  # not as if it had not been made
+                raise DyKnowError(str(error)) from error
 
     def check() -> None:
         found = client.get_graph().nodelet(name)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from clocks import HandClock
 
-from dyknow.errors import Busy, NameTaken
+from dyknow.errors import Busy, NameTaken, UnknownNodelet
 from dyknow.manager import graph as graph_module
 from dyknow.manager.graph import Graph
 from dyknow.manager.record import Record
@@ -93,4 +93,20 @@ def test_a_name_is_busy_until_the_operation_ends(graph: Graph, clock: HandClock)
     with pytest.raises(NameTaken), graph.changing("/a", new=True):
         pass
     with graph.changing("/a") as record:
+        assert record == RUNNING
+
+
+def test_a_nodelet_that_is_being_made_is_awaited(graph: Graph, clock: HandClock) -> None:
+    with pytest.raises(UnknownNodelet), graph.changing_present("/a"):
+        pass
+    assert clock.time == 0.0
+    with graph.changing("/a", new=True):
+        with pytest.raises(Busy), graph.changing_present("/a"):
+            pass
+        assert clock.time == 30.0
+        graph.put(RUNNING)
+        with pytest.raises(Busy), graph.changing_present("/a"):
+            pass
+        assert clock.time == 35.0
+    with graph.changing_present("/a") as record:
         assert record == RUNNING

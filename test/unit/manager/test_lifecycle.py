@@ -140,6 +140,27 @@ def test_an_isolated_nodelet_has_a_process_that_ends_with_it(world: World) -> No
     assert list(world.host.processes) == [shared]
 
 
+def test_a_nodelet_that_is_being_made_is_destroyed_once_it_is_there() -> None:
+    """So a client that was interrupted can take its spawn back."""
+    clock = SteppedClock()
+    world = World(clock=clock)
+    destroying: list[threading.Thread] = []
+
+    def take_back() -> None:
+        world.manager.set_protection("front", False)
+        world.manager.destroy("front")
+
+    def interrupt(what: str, argument: str) -> None:
+        if what == "ensure":
+            destroying.append(in_thread(take_back))
+            clock.settle()
+
+    world.host.fail = interrupt
+    world.spawn("camera", "front", isolated=True, is_protected=True)
+    join(*destroying)
+    assert nothing_left(world, "/front")
+
+
 def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
     first = world.host.ensure(NodeletKind.PYTHON)
     second = world.host._start("/second", NodeletKind.PYTHON, "")
