@@ -10,8 +10,9 @@ The manager reaches nodelets only through a ``Host``. The real one speaks ROS
 from __future__ import annotations
 
 import builtins
+import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import (
     Callable,
     Collection,
@@ -174,6 +175,7 @@ class HeardVerdict:
         stamp: the time of their first state (s, ROS time).
         why: the values that decided there.
         was_false: whether any verdict on the topic was FALSE.
+        state: when the last of their states was, in steady time (s).
     """
 
     is_true: bool
@@ -181,16 +183,14 @@ class HeardVerdict:
     stamp: float
     why: str = ""
     was_false: bool = False
+    state: float = -math.inf
 
-    @classmethod
-    def after(
-        cls, known: HeardVerdict | None, is_true: bool, heard: float, stamp: float, why: str
-    ) -> HeardVerdict:
-        """Return the last verdict once another one has come: the known one if they are equal."""
-        if known is not None and known.is_true is is_true:
-            return known
-        was_false = not is_true or (known is not None and known.was_false)
-        return cls(is_true, heard, stamp, why, was_false)
+    def after(self, known: HeardVerdict | None) -> HeardVerdict:
+        """Return the last verdict after the known one: that goes on if they are equal."""
+        if known is not None and known.is_true is self.is_true:
+            return replace(known, state=self.state)
+        was_false = not self.is_true or (known is not None and known.was_false)
+        return replace(self, was_false=was_false)
 
 
 @dataclass(frozen=True)

@@ -623,7 +623,7 @@ class FakeHost(Host):
         """Let a verdict come on a topic; it is not heard unless the topic is followed."""
         if topic in self.followed:
             known, now = self._heard.get(topic), self.clock()
-            heard = HeardVerdict.after(known, is_true, now, now, why)
+            heard = HeardVerdict(is_true, now, now, why, state=now).after(known)
             self._heard = {**self._heard, topic: heard}
 
     def listen(self, topic: str) -> Listening:

@@ -160,10 +160,13 @@ class Requirements:
     def violation(self, claim: Claim, since: float) -> str:
         """Say that the formula of a claim's request is FALSE; empty if it is not.
 
-        Verdicts heard before ``since`` are about an earlier stream.
+        A run of verdicts that began before ``since`` is about an earlier stream, unless it goes on
+        for as long as a verdict has to be TRUE: a formula may look back.
         """
         heard = self._heard.get(topic_of_verdicts(claim))
-        if heard is None or heard.is_true or heard.heard < since:
+        if heard is None or heard.is_true:
+            return ""
+        if heard.heard < since and heard.state < since + self._recover:
             return ""
         return f"'{claim.request.require}' {said(heard)}"
 

@@ -67,11 +67,12 @@ class VerdictTopics:
         if message.value == Verdict.UNKNOWN:
             return
         is_true, since = message.value == Verdict.TRUE, message.since.to_sec()
+        now, age = time.monotonic(), rospy.get_time() - message.header.stamp.to_sec()
+        verdict = HeardVerdict(is_true, now, since, message.why, state=now - max(age, 0.0))
         with self._state_lock:
             if topic not in self._wanted:
                 return
             known = self._heard.get(topic)
-            heard = HeardVerdict.after(known, is_true, time.monotonic(), since, message.why)
-            self._heard[topic] = heard
-        if heard is not known:
+            self._heard[topic] = verdict.after(known)
+        if known is None or known.is_true is not is_true:
             self._on_change()

@@ -386,6 +386,35 @@ def test_a_stream_whose_formula_is_false_goes_on_without_one_of_its_parts(field:
     assert len(field.living()) == 1 + len(own(field))
 
 
+def test_a_formula_that_turned_false_during_a_repair_counts_if_it_stays_false(
+    field: Field,
+) -> None:
+    claim = field.acquire(require=NEAR).claim
+    field.settle()
+    topic = monitored(field, claim)
+    field.host.decide(topic, True)
+    field.settle()
+
+    def turn_false(what: str, argument: str) -> None:
+        if what == "load":
+            field.host.decide(topic, False)
+            field.sleep(0.01)
+
+    field.host.fail = turn_false
+    field.host.kill(field.manager.graph.get(claim.nodelets[0]).manager)
+    field.settle()
+    field.host.recover()
+    assert monitored(field, claim) == topic
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    field.host.decide(topic, False)
+    field.settle()
+    assert not [each for each in field.reasons() if "FALSE" in each], "of the earlier stream yet"
+    field.settle(3.0)
+    field.host.decide(topic, False)
+    field.settle()
+    assert [each for each in field.reasons() if "'it.point.x < 3' is FALSE" in each]
+
+
 def test_without_another_plan_a_false_formula_degrades_the_stream(field: Field) -> None:
     field.manager.remove_transformation("ceiling camera")
     claim = field.acquire(require=NEAR).claim

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from io import BytesIO
 from typing import Any, Dict
 
@@ -16,9 +17,11 @@ from dyknow_msgs.msg import Verdict
 from dyknow.ros.hosting.verdicts import VerdictTopics
 
 
-def received(md5sum=Verdict._md5sum):
+def received(md5sum=Verdict._md5sum, stamp=0.0):
     body = BytesIO()
-    Verdict(value=Verdict.TRUE, why="it is charged").serialize(body)
+    verdict = Verdict(value=Verdict.TRUE, why="it is charged")
+    verdict.header.stamp = rospy.Time.from_sec(stamp)
+    verdict.serialize(body)
     message = rospy.AnyMsg().deserialize(body.getvalue())
     message._connection_header = {"md5sum": md5sum}
     return message
@@ -34,6 +37,7 @@ def subscribed(monkeypatch):
         found[topic] = callback
 
     monkeypatch.setattr(rospy, "Subscriber", subscribe)
+    monkeypatch.setattr(rospy, "get_time", lambda: 100.0)
     return found
 
 
@@ -47,3 +51,21 @@ def test_a_topic_whose_messages_are_counted_too_is_heard(subscribed):
     subscribed["/holds"](received())
     assert verdicts.follow(["/holds"])["/holds"].is_true
     verdicts.close()
+
+
+def test_verdicts_tell_the_time_of_the_last_state(subscribed):
+    """In steady time, which the clocks of messages and of the master do not share."""
+    changes = []
+    verdicts = VerdictTopics(lambda: changes.append("change"))
+    verdicts.follow(["/holds"])
+    eventually(lambda: subscribed)
+    states = []
+    for stamp in (0.0, 60.0, 1000.0):
+        subscribed["/holds"](received(stamp=stamp))
+        states.append(verdicts.follow(["/holds"])["/holds"].state)
+    verdicts.close()
+    begin, one_minute, future = states
+    assert one_minute - begin >= 60.0
+    assert future - one_minute >= 40.0, "no state is in the future"
+    assert future <= time.monotonic()
+    assert len(changes) == 1
