@@ -8,9 +8,9 @@ there is to mend. The build occupies one processor for a part of its time, and t
 wait for much of theirs: the other checks and tests run beside them, one after the other.
 
 With ``--long`` it runs what takes too long for every change instead: the unit tests that are
-marked ``long``, those on Python 3.8, the others with random examples, the rostest suites in
-``test/ros/long`` (one with our C++ built with sanitizers), the types of the tests, and the
-measurement of what the unit tests cover.
+marked ``long``, those on Python 3.8, the others with random examples and with random delays of
+threads, the rostest suites in ``test/ros/long`` (one with our C++ built with sanitizers), the
+types of the tests, and the measurement of what the unit tests cover.
 """
 
 from __future__ import annotations
@@ -240,6 +240,7 @@ LONG_STAGES: tuple[Stage, ...] = (
     ("mypy on tests", check(str(VENV / "mypy"), "--config-file", "test/mypy.ini")),
     ("unit tests on Python 3.8", unit_tests_py38),
     ("coverage", coverage),
+    ("unit tests with delays", lambda: unit_tests(is_long=True, DYKNOW_DELAYS="1")),
     ("random unit tests", lambda: unit_tests(is_long=True, HYPOTHESIS_PROFILE="random")),
     ("long unit tests", lambda: unit_tests("long", True)),
     ("long ROS tests", lambda: ros_tests(long=True)),

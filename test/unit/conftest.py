@@ -3,7 +3,8 @@
 
 """Every unit test runs with locks that assert their order, and fails where it is not kept.
 
-Property tests have the profile that the environment asks for.
+Property tests have the profile that the environment asks for. With ``DYKNOW_DELAYS`` set there,
+threads are delayed at random.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import threading
 from pathlib import Path
 from typing import Iterator
 
+import delays
 import pytest
 from property_tests import register_profiles
 
@@ -24,6 +26,8 @@ _report = Path(_directory.name, "violations")
 os.environ["DYKNOW_LOCK_REPORT"] = str(_report)
 
 register_profiles()
+if "DYKNOW_DELAYS" in os.environ:
+    delays.install()
 
 
 @pytest.fixture(autouse=True)
