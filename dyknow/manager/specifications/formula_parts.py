@@ -129,7 +129,7 @@ class FormulaParts:
                 self._problem(self._element, f'{name}="{shorten(text)}": {problem}')
                 text = default
             values[name] = text
-            if text != default:
+            if name in self._element.attributes:
                 found.append(Parameter(name, type_, text))
         if self._formula is not None:
             try:

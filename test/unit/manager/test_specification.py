@@ -180,6 +180,16 @@ def test_the_concept_of_a_quantifier_restricts_the_tags_of_its_ports():
     ]
 
 
+def test_a_setting_of_a_formula_that_is_given_is_set_even_if_it_is_the_default_of_most():
+    """A formula over verdicts has another delay unless it states one."""
+    text = """<transformation type="formula"><label>all</label>
+        <ports><port type="in" datatype="std_msgs/Bool">on</port><port type="out">holds</port>
+        </ports><formula delay="0.1">on.data</formula></transformation>"""
+    (found,) = parse(text).transformations
+    assert Parameter("delay", "double", "0.1") in found.parameters
+    assert "period" not in {each.name for each in found.parameters}
+
+
 def test_yaml_may_be_indented_like_the_xml_around_it():
     text = """<transformation><label>a</label><source>p/A</source><params>
       <param name="lens" type="yaml">
