@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import dyknow
-from dyknow.nodelets.stamps import StampField
+from dyknow.nodelets.stamps import stamp_field
 from dyknow.ros.parameters import get_datatype, get_positive
 
 
@@ -27,7 +28,8 @@ class Sink(dyknow.Nodelet):
         """Declare the port and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         datatype = get_datatype(self.nh)
-        self.stamp = StampField.of(datatype)
+        field = stamp_field(datatype)
+        self.stamp_of = attrgetter(field) if field else None
         self.period = get_positive(self.nh, "~period", 5.0, "s")
         self.count = 0
         self.latencies: list[float] = []
@@ -37,8 +39,8 @@ class Sink(dyknow.Nodelet):
     def on_message(self, message: Any) -> None:
         """Count a message; its latency is that from its stamp to now, in s."""
         self.count += 1
-        if self.stamp is not None:
-            self.latencies.append(self.nh.get_time() - self.stamp.read(message).to_sec())
+        if self.stamp_of is not None:
+            self.latencies.append(self.nh.get_time() - self.stamp_of(message).to_sec())
 
     def on_timer(self, event: Any) -> None:
         """Log the messages since the last time."""

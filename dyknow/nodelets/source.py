@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import dyknow
-from dyknow.nodelets.stamps import StampField
+from dyknow.nodelets.stamps import stamp_field
 from dyknow.ros.parameters import get_datatype, get_positive
 
 
@@ -31,7 +31,7 @@ class Source(dyknow.Nodelet):
         """Declare the port and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.datatype = get_datatype(self.nh)
-        self.stamp = StampField.of(self.datatype)
+        self.owner, _, self.stamp = stamp_field(self.datatype).rpartition(".")
         self.count = 0
         rate = get_positive(self.nh, "~rate", 10.0, "Hz")
         self.pub = self.nh.Publisher("out", self.datatype, queue_size=100)
@@ -44,7 +44,8 @@ class Source(dyknow.Nodelet):
         if header._type == "std_msgs/Header":
             header.seq = self.count
             header.frame_id = str(self.count)
-        if self.stamp is not None:
-            self.stamp.write(message, self.nh.Time.now())
+        if self.stamp:
+            stamped = getattr(message, self.owner) if self.owner else message
+            setattr(stamped, self.stamp, self.nh.Time.now())
         self.count += 1
         self.pub.publish(message)
