@@ -63,27 +63,33 @@ def test_what_is_wrong_in_the_line_is_named(chain, capsys, line, problem):
     assert problem in capsys.readouterr().err
 
 
+def watch(client, monkeypatch, happens):
+    """Let these things happen, one before each look; then the manager is gone."""
+
+    def wait(condition):
+        if not happens:
+            raise ManagerUnreachable("the manager is gone")
+        happens.pop(0)()
+        client.core.look()
+        model = client.get_graph()
+        return model if condition(model) else None
+
+    monkeypatch.setattr(client, "wait_for_model", wait)
+
+
 def test_a_watched_nodelet_that_stays_outdated_is_restarted_once(chain, monkeypatch):
     """A shared nodelet in C++ runs its old library until its nodelet manager ends."""
     chain.host.code["pkg/Camera"] = "1"
     chain.core.restart("cam")
     chain.host.code["pkg/Camera"] = "2"
-    looks, restarted = [1, 2, 3], []
-
-    def wait(condition):
-        if not looks:
-            raise ManagerUnreachable("the manager is gone")
-        looks.pop()
-        chain.core.look()
-        model = chain.get_graph()
-        return model if condition(model) else None
+    restarted = []
 
     def restart(name):
         restarted.append(name)
         return Restarted((name,), "it is still outdated")
 
-    monkeypatch.setattr(chain, "wait_for_model", wait)
     monkeypatch.setattr(chain, "restart", restart)
+    watch(chain, monkeypatch, [lambda: None] * 3)
     run(chain, "restart --watch cam")
     assert restarted == ["/cam"]
 
@@ -101,16 +107,7 @@ def test_what_is_watched_is_restarted_once_for_each_change(chain, monkeypatch):
         lambda: (code.update({"pkg/Camera": "4"}), chain.host.broken.clear()),
         lambda: code.update({"pkg/Relay": "2"}),
     ]
-
-    def wait(condition):
-        if not happens:
-            raise ManagerUnreachable("the manager is gone")
-        happens.pop(0)()
-        chain.core.look()
-        model = chain.get_graph()
-        return model if condition(model) else None
-
-    monkeypatch.setattr(chain, "wait_for_model", wait)
+    watch(chain, monkeypatch, happens)
     chain.calls.clear()
     done = run(chain, "restart --watch cam --json")
     assert done.code == UNREACHABLE
