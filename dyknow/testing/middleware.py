@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import functools
 import logging
+import re
 from dataclasses import dataclass
 from typing import Any, Callable, Iterator, Sequence
 
@@ -35,11 +36,7 @@ _PLAIN = frozenset(
     ROSInternalException ROSTimeMovedBackwardsException ServiceException
     TransportException TransportInitError TransportTerminated exceptions""".split()
 )
-_LOG_FUNCTIONS = {
-    f"log{level}{variant}": (level, variant)
-    for level in ("debug", "info", "warn", "err", "fatal")
-    for variant in ("", "_throttle", "_throttle_identical", "_once")
-}
+_LOG_FUNCTION = re.compile(r"log(debug|info|warn|err|fatal)(_throttle(?:_identical)?|_once)?")
 _REQUIRED = object()
 
 
@@ -125,8 +122,9 @@ class HarnessNode(LocalNode):
         """Return rospy's own where that needs no master, else a substitute."""
         if name in _PLAIN:
             return getattr(rospy, name)
-        if name in _LOG_FUNCTIONS:
-            level, variant = _LOG_FUNCTIONS[name]
+        log_function = _LOG_FUNCTION.fullmatch(name)
+        if log_function is not None:
+            level, variant = log_function.groups("")
             limited = variant.startswith("_throttle")
             return functools.partial(self._log_limited if limited else self._log, level)
         members = _Members(self, handle.resolve_name)
