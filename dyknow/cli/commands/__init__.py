@@ -63,6 +63,5 @@ COMMANDS = {name: found for group in GROUPS.values() for name, found in group.it
 
 def find(name: str) -> Command:
     """Import a command."""
-    module = import_module(f"{__name__}.{COMMANDS[name][0]}")
-    found = (each for each in vars(module).values() if isinstance(each, Command))
-    return next(each for each in found if each.name == name)
+    found: Command = getattr(import_module(f"{__name__}.{COMMANDS[name][0]}"), f"_{name}")
+    return found
