@@ -14,11 +14,7 @@ from genpy import Time
 import dyknow
 from dyknow.formulas import Verdict, parse
 from dyknow.ros.client import ManagerClient
-from dyknow.ros.formulas.individuals import (
-    IndividualStreams,
-    tags_of_individuals,
-    take_waiting,
-)
+from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals, take_waiting
 from dyknow.ros.formulas.message_types import check
 from dyknow.ros.parameters import get_datatype
 

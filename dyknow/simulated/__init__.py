@@ -13,13 +13,7 @@ import contextlib
 import threading
 import time
 from dataclasses import replace
-from typing import (
-    Callable,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+from typing import Callable, Iterable, Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
@@ -34,13 +28,7 @@ from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.hosts import HostStatus
 from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortCount, PortStatistics
-from dyknow.model.streams import (
-    Acquisition,
-    Replanned,
-    StreamEvent,
-    StreamRequest,
-    StreamStatus,
-)
+from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamRequest, StreamStatus
 from dyknow.model.transformation import IN, OUT, TOPIC, Added, Parameter, Transformation
 from dyknow.periodic import STEADY, Clock, ControlLoop
 from dyknow.simulated.host import FakeHost

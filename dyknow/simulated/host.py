@@ -10,16 +10,7 @@ import contextlib
 import itertools
 import time
 from dataclasses import dataclass, field, replace
-from typing import (
-    Any,
-    Callable,
-    Collection,
-    Dict,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+from typing import Any, Callable, Collection, Dict, Iterable, Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.datatypes import types_fit
