@@ -419,13 +419,11 @@ class FakeHost(Host):
             and state.isolated_for == isolated_for
             and state.responsive
         ]
-        for state in fitting:
-            if state.alive:
-                return state.name
-        for state in fitting:
-            if not state.alive:
-                return self._start(state.name, kind, isolated_for)
-        return self._start(self._new_name(), kind, isolated_for)
+        alive = [state.name for state in fitting if state.alive]
+        if alive:
+            return alive[0]
+        name = fitting[0].name if fitting else self._new_name()
+        return self._start(name, kind, isolated_for)
 
     def retire(self, manager: str) -> None:
         self._step("retire", manager)
