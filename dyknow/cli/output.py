@@ -31,14 +31,17 @@ Json = Dict[str, Any]
 
 
 def as_json(value: Any) -> Any:
-    """Make JSON of a value: of sequences lists, of sets sorted ones, of dataclasses objects."""
+    """Make JSON of a value: of sequences lists, of sets sorted ones, of dataclasses objects.
+
+    NaN, which JSON does not have, is null.
+    """
     if isinstance(value, enum.Enum):
         return value.name.lower() if isinstance(value, enum.IntEnum) else value.value
     if dataclasses.is_dataclass(value):
         return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, (list, tuple, set, frozenset)):
         return [as_json(each) for each in (sorted(value) if isinstance(value, set) else value)]
-    return value
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def picked(value: object, names: str) -> Json:
@@ -90,8 +93,7 @@ def statistics_json(name: str, statistics: NodeletStatistics, transports: Transp
 def stream_json(stream: StreamStatus) -> Json:
     """A claim; its lease ends at `expires`, in seconds of ROS time, or never if that is null."""
     named = "claim=claim_id client=client_id tag topic datatype state detail nodelets"
-    bindings = list(stream.bindings)
-    return {**picked(stream, named), "expires": stream.expires or None, "bindings": bindings}
+    return {**picked(stream, f"{named} expires bindings"), "expires": stream.expires or None}
 
 
 def event_json(event: StreamEvent) -> Json:
@@ -107,14 +109,7 @@ def event_json(event: StreamEvent) -> Json:
 def host_json(host: HostStatus) -> Json:
     """A host; times in s, load and memory as shares, null where they are not known."""
     named = "name address own=is_own away=is_away lasts managers nodelets pinned cores pause"
-    numbers = {
-        "load": host.load,
-        "memory": host.memory,
-        "offset": host.offset,
-        "offset_error": host.error,
-    }
-    known = {key: None if math.isnan(value) else value for key, value in numbers.items()}
-    return {**picked(host, named), **known}
+    return picked(host, f"{named} load memory offset offset_error=error")
 
 
 def state_of(nodelet: NodeletStatus) -> str:
