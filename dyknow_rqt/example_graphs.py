@@ -9,8 +9,7 @@ from typing import List
 
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletKind, State
-from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
-from dyknow_rqt.graph.changes import as_specification
+from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation, as_specification
 from dyknow_rqt.simulated import SimulatedRemote
 
 #: Label, source, ports (`>name` for in, `name>` for out) with their types and tags.

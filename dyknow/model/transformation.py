@@ -10,7 +10,7 @@ import re
 import shlex
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import List, NamedTuple, Tuple
+from typing import Iterable, List, NamedTuple, Tuple
 
 NODELET = "nodelet"
 NODE = "node"
@@ -182,6 +182,12 @@ class Added:
 
     labels: Tuple[str, ...]
     warnings: str
+
+
+def as_specification(transformations: Iterable[Transformation]) -> str:
+    """Write transformations as one specification."""
+    inside = "".join(each.to_xml() for each in transformations)
+    return f"<transformations>\n{inside}</transformations>\n"
 
 
 def _formula_of(parameters: Tuple[Parameter, ...]) -> Tuple[str, Tuple[Port, ...]]:

@@ -34,7 +34,7 @@ from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
-from dyknow.model.transformation import NODE, Parameter, Transformation
+from dyknow.model.transformation import NODE, Parameter, Transformation, as_specification
 from dyknow.wiring.load import by_declaration, make_again, making, steps_of
 from dyknow.wiring.plan import plan_load
 from dyknow.wiring.wiring import Wiring, request_of
@@ -362,12 +362,6 @@ def remove_transformations(labels: Sequence[str]) -> Change:
 
     what = labels[0] if len(labels) == 1 else f"{len(labels)} transformations"
     return Steps(f"delete {what}", plan)
-
-
-def as_specification(transformations: Sequence[Transformation]) -> str:
-    """Write transformations as one XML text."""
-    texts = "".join(each.to_xml() for each in transformations)
-    return f"<transformations>\n{texts}</transformations>\n"
 
 
 def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:

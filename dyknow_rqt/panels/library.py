@@ -10,9 +10,9 @@ from typing import Mapping
 from python_qt_binding.QtCore import Qt, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
-from dyknow.model.transformation import IN, Transformation
+from dyknow.model.transformation import IN, Transformation, as_specification
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import add_transformations, as_specification, remove_transformations
+from dyknow_rqt.graph.changes import add_transformations, remove_transformations
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.status_line import StatusLine

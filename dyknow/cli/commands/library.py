@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from typing import TYPE_CHECKING, Iterable, Sequence
+from typing import TYPE_CHECKING, Sequence
 
 from dyknow.cli.arguments import REPEATED, Argument, argument, flag
 from dyknow.cli.output import (
@@ -21,7 +21,7 @@ from dyknow.cli.output import (
 )
 from dyknow.cli.shell import FAILED, Acted, Shell, command
 from dyknow.errors import DyKnowError, Problem, Refused, UnknownTransformation
-from dyknow.model.transformation import IN, OUT, Transformation
+from dyknow.model.transformation import IN, OUT, Transformation, as_specification
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _named(file: str, words: str) -> str:
 )
 def _export(arguments: argparse.Namespace, shell: Shell) -> None:
     chosen = _chosen(shell, arguments.labels)
-    text = specification_text(chosen)
+    text = as_specification(chosen)
     labels = [each.label for each in chosen]
     if arguments.output and arguments.output != STDIO:
         write_file(arguments.output, text.encode("utf-8"))
@@ -121,12 +121,6 @@ def _export(arguments: argparse.Namespace, shell: Shell) -> None:
         )
     else:
         shell.show_file({"labels": labels, "specification": text}, text)
-
-
-def specification_text(transformations: Iterable[Transformation]) -> str:
-    """Write transformations as one specification."""
-    inside = "".join(each.to_xml() for each in transformations)
-    return f"<transformations>\n{inside}</transformations>\n"
 
 
 @command(
