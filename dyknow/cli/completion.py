@@ -76,7 +76,7 @@ class _Cursor:
     def topics(self) -> list[str]:
         """The topics of nodelets and of ordinary nodes, sorted."""
         own = {topic.name for topic in topics_of(self.nodelets())}
-        return sorted(own | set(self.client.topics()))
+        return sorted(own | set(self.client.datatypes()))
 
     def transformations(self, label: str | None = None) -> Sequence[Transformation]:
         """The transformations of the library, or the one of a label if there is one."""

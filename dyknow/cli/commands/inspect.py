@@ -241,7 +241,7 @@ def _ask(shell: Shell, snapshot: Model, names: Sequence[str]) -> dict[str, Answe
             return name, None if name in portless else error
 
     unique = list(dict.fromkeys(names or [each.name for each in snapshot.nodelets]))
-    with ThreadPoolExecutor(max_workers=min(_WORKERS, max(1, len(unique)))) as pool:
+    with ThreadPoolExecutor(_WORKERS) as pool:
         return dict(pool.map(ask, unique))
 
 

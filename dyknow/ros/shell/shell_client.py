@@ -99,10 +99,6 @@ class ShellClient(ManagerClient):
         """Names of all registered DyKnow managers of the ROS graph."""
         return self._nodes_with("/add_transformation")
 
-    def topics(self) -> list[str]:
-        """Names of all topics that the master knows."""
-        return sorted(self.datatypes())
-
     def datatypes(self) -> dict[str, str]:
         """ROS types of all topics that the master knows."""
         return dict(self._on_master(lambda: self._master.ask("getTopicTypes")))
@@ -126,10 +122,9 @@ class ShellClient(ManagerClient):
             Names, by node, ``in`` or ``out``, and topic; none of a node that does not answer.
         """
         found: dict[tuple[str, str, str], list[str]] = {}
-        if nodes:
-            with ThreadPoolExecutor(max_workers=min(_WORKERS, len(nodes))) as pool:
-                for each in pool.map(lambda node: self._master.transports(node, _LOOK), nodes):
-                    found.update(each)
+        with ThreadPoolExecutor(_WORKERS) as pool:
+            for each in pool.map(lambda node: self._master.transports(node, _LOOK), nodes):
+                found.update(each)
         return found
 
     def loads(self, nodelets: Sequence[NodeletStatus]) -> Loads:

@@ -111,8 +111,8 @@ class FakeClient(SimulatedManagerClient):
     def managers(self) -> list[str]:
         return ["/dyknow_manager"]
 
-    def topics(self) -> list[str]:
-        return ["/rosout"]
+    def datatypes(self) -> dict[str, str]:
+        return {"/rosout": "rosgraph_msgs/Log"}
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
         known = self.world.host.parameters
