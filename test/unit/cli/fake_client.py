@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import re
@@ -184,11 +185,15 @@ class Outcome:
 
 
 def run(client: FakeClient | None, line: str) -> Outcome:
-    """Run a command line that parses; without `dyknow` at its beginning."""
-    arguments = parse(shlex.split(line))
+    """Run a command line; without `dyknow` at its beginning."""
     out, err = io.StringIO(), io.StringIO()
-    shell = Shell(lambda: client, arguments.json, out, err)  # type: ignore[arg-type,return-value]
-    code = execute(arguments, shell)
+    try:
+        with contextlib.redirect_stderr(err):  # of the parser
+            arguments = parse(shlex.split(line))
+            shell = Shell(lambda: client, arguments.json, out, err)  # type: ignore[arg-type,return-value]
+            code = execute(arguments, shell)
+    except SystemExit as end:
+        code = int(str(end))
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
