@@ -69,10 +69,6 @@ class SimulatedClock(Clock):
         self.time += seconds or 0.0
 
 
-def _ignore(model: Model) -> None:
-    """The model has no observer."""
-
-
 class _Silent(HostError):
     """Nobody is there to answer."""
 
@@ -119,7 +115,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.rates: dict[tuple[str, str], tuple[float, float]] = {}
         self.samples: dict[tuple[str, str], tuple[float | None, int]] = {}
         self.strains: dict[str, tuple[float, str]] = {}
-        self.on_model: Callable[[Model], None] = _ignore
+        self.on_model: Callable[[Model], None] | None = None
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
         self._claims: set[str] = set()
@@ -335,7 +331,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.host.flow()
 
     def _tell_model(self) -> None:
-        if self.on_model is not _ignore:
+        if self.on_model is not None:
             self.on_model(self._show(self.core.graph_model()))
 
     def _tell_event(self, event: ClaimEvent) -> None:
