@@ -176,7 +176,6 @@ class BlackBox(dyknow.Nodelet):
         in_background("writing a bag", partial(self.write, causes, kept))
 
     def on_request(self, request: Any) -> TriggerResponse:
-        """Write a bag now."""
         return self.write([], self.recording.taken())
 
     def write(self, causes: list[str], kept: list[KeptMessage]) -> TriggerResponse:

@@ -123,7 +123,6 @@ class FormulaNodelet(dyknow.Nodelet):
         return max(0.02, 0.1 if due is None else due - self.nh.get_time())
 
     def publish(self, verdicts: Iterable[Verdict]) -> None:
-        """Publish verdicts."""
         for verdict in verdicts:
             message = VerdictMessage(value=verdict.value, why=verdict.why)
             message.header.stamp = Time(0, verdict.stamp)

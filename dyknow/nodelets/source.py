@@ -38,7 +38,6 @@ class Source(dyknow.Nodelet):
         self.timer = self.nh.Timer(self.nh.Duration(1.0 / rate), self.on_timer)
 
     def on_timer(self, event: Any) -> None:
-        """Publish one message."""
         message = self.datatype()
         header = getattr(message, "header", message)
         if header._type == "std_msgs/Header":

@@ -84,8 +84,6 @@ class HarnessServices(LocalServices):
     def offer(
         self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
     ) -> LocalService:
-        """Offer a service."""
-
         def answer(request: Any) -> Any:
             return convert_return_to_response(handler(request), service_class._response_class)
 

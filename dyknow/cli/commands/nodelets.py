@@ -120,7 +120,6 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
 
 
 def show_spawned(shell: Shell, name: str) -> None:
-    """Show a new nodelet."""
     nodelet = shell.client.get_graph().nodelet(name)
     if nodelet is None:  # it was destroyed in the meantime
         shell.show({"name": name}, [f"spawned {name}"])
