@@ -16,7 +16,6 @@ from dyknow.errors import DyKnowError, InvalidName
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.claims.ends import transformation_made_here
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS
 from dyknow.manager.specifications.specification import TRANSFORMATIONS, transformations_of
 from dyknow.manager.specifications.xml_reader import (
     ANY,
@@ -171,9 +170,9 @@ def read_wiring(
     Raises:
         SpecificationError: with every problem of the file.
     """
-    findings = Findings(file, DEFAULT_LIMITS.problems)
+    findings = Findings(file)
     nodelets = _NodeletReader(findings, limit)
-    units = XmlReader(findings, DEFAULT_LIMITS, _WIRING).read(data)
+    units = XmlReader(findings, _WIRING).read(data)
     transformations: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
         transformations += transformations_of(nodelets.take(units), findings)

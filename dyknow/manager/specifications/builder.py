@@ -12,8 +12,7 @@ from sys import intern
 from dyknow.errors import InvalidTag, InvalidType
 from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
-from dyknow.manager.specifications.formula_parts import FormulaParts, no_types, requirements_of
-from dyknow.manager.specifications.limits import SpecificationLimits
+from dyknow.manager.specifications.formula_parts import FormulaParts, requirements_of
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
@@ -52,17 +51,11 @@ _STATED = {
 class Builder:
     """Builds the transformations of one text; their labels must differ."""
 
-    def __init__(
-        self,
-        findings: Findings,
-        limits: SpecificationLimits,
-        ontology: Concepts | None = None,
-        types: Lookup = no_types,
-    ) -> None:
+    def __init__(self, findings: Findings, ontology: Concepts | None, types: Lookup) -> None:
         self._findings = findings
         self._types = types
         self._ontology = ontology
-        self._limits = limits
+        self._limits = findings.limits
         self._labels: dict[str, int] = {}
         self._nodes: dict[str, int] = {}
         self._good_yaml: set[str] = set()

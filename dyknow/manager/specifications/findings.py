@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Collection, Iterable
 
 from dyknow.errors import Problem, SpecificationError
+from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.similar import did_you_mean
 
 #: Characters of a quoted text, names in a quoted list.
@@ -28,11 +29,16 @@ class EnoughProblems(Exception):
 
 
 class Findings:
-    """The problems and warnings of one text, each once."""
+    """The problems and warnings of one text, each once.
 
-    def __init__(self, file: str, max_problems: int) -> None:
+    Attributes:
+        limits: the caps that the text has to hold.
+    """
+
+    def __init__(self, file: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> None:
+        self.limits = limits
         self._file = file
-        self._max = max_problems
+        self._max = limits.problems
         self._problems: dict[Problem, None] = {}
         self._warnings: dict[Problem, None] = {}
         self._rest: tuple[Problem, ...] = ()

@@ -102,11 +102,11 @@ def parse(
     Raises:
         SpecificationError: With every problem of the text.
     """
-    findings = Findings(file_name, limits.problems)
-    nodes = XmlReader(findings, limits, TRANSFORMATION, TRANSFORMATIONS).read(text)
+    findings = Findings(file_name, limits)
+    nodes = XmlReader(findings, TRANSFORMATION, TRANSFORMATIONS).read(text)
     found: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
-        found += transformations_of(nodes, findings, ontology, limits, types)
+        found += transformations_of(nodes, findings, ontology, types)
     findings.raise_if_any()
     return Specifications(tuple(found), findings.warnings)
 
@@ -136,18 +136,17 @@ def transformations_of(
     nodes: Iterable[XmlNode],
     findings: Findings,
     ontology: Concepts | None = None,
-    limits: SpecificationLimits = DEFAULT_LIMITS,
     types: Lookup = no_types,
 ) -> Iterator[Transformation]:
     """Make the transformations of one text from its `<transformation>` elements.
 
     Problems are noted in `findings`; if there are any, the transformations are not to be used.
     """
-    builder = Builder(findings, limits, ontology, types)
-    expander = Expander(findings, limits, ontology)
+    builder = Builder(findings, ontology, types)
+    expander = Expander(findings, ontology)
+    limit = findings.limits.transformations
     for count, node in enumerate(nodes, 1):
-        if count > limits.transformations:
-            limit = limits.transformations
+        if count > limit:
             findings.problem(node.line, f"more than {limit} transformations in one text")
             raise EnoughProblems
         expanded = expander.expand(node)

@@ -20,7 +20,6 @@ from typing import Iterable, Iterator, List, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
-from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.tags import Subsumption
 from dyknow.manager.specifications.xml_reader import BLANK, XmlNode
 from dyknow.model import placeholders
@@ -53,11 +52,8 @@ class Concepts(Subsumption, Protocol):
 class Expander:
     """Expands the templates of one text; the limits hold for all of them together."""
 
-    def __init__(
-        self, findings: Findings, limits: SpecificationLimits, ontology: Concepts | None
-    ) -> None:
+    def __init__(self, findings: Findings, ontology: Concepts | None) -> None:
         self._findings = findings
-        self._limits = limits
         self._ontology = ontology
         self._transformations = 0
         self._items = 0
@@ -216,7 +212,7 @@ class Expander:
 
     def _fits(self, node: XmlNode, pieces: dict[tuple[str, bool], _Pieces], terms: _Terms) -> bool:
         """Compute the size of the expansion, and check the limits before anything is expanded."""
-        limits = self._limits
+        limits = self._findings.limits
         count = prod(len(each) for each in terms)
         transformations = self._transformations + count
         items = self._items + count * sum(

@@ -23,7 +23,6 @@ from typing import (
 from xml.parsers import expat
 
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, meant, shorten
-from dyknow.manager.specifications.limits import SpecificationLimits
 
 BLANK = " \t\r\n"
 """XML's white space, which is stripped from both ends of every value and term."""
@@ -143,23 +142,19 @@ class XmlNode:
 class XmlReader:
     """Reads one text."""
 
-    def __init__(self, findings: Findings, limits: SpecificationLimits, *roots: Element) -> None:
+    def __init__(self, findings: Findings, *roots: Element) -> None:
         """Prepare to read.
 
         Args:
             findings: where problems are noted. Reading goes on after a problem for as long as the
                 text is well-formed.
-            limits: the caps to hold.
             roots: the rules of the elements that the text may start with.
         """
         self._findings = findings
-        self._limits = limits
+        self._limits = findings.limits
         self._top = Element("", roots)
-        #: Open elements: the rule, the element, and the lines of the first children by name.
-        self._stack: list[tuple[Element, XmlNode, dict[str, int]]] = []
-        self._stack.append((self._top, XmlNode("", 0, {}), {}))
-        #: Open elements without a rule, with their lines.
-        self._unknown: list[tuple[str, int]] = []
+        #: Open elements, each with its rule if it has one.
+        self._stack: list[tuple[Element | None, XmlNode]] = [(self._top, XmlNode("", 0, {}))]
         self._texts: list[str] = []
         self._items = 0
         self._has_variables = False
@@ -212,10 +207,9 @@ class XmlReader:
     def _explain(self, error: expat.ExpatError) -> None:
         reason = expat.errors.messages[error.code]
         expected = f"well-formed XML with one root element, {self._top.expected}"
-        opened = [(node.name, node.line) for _, node, _ in self._stack[1:]] + self._unknown
-        if opened and reason in _UNFINISHED:
-            name, line = opened[-1]
-            expected = f"the end </{name}> of the element in line {line}"
+        if len(self._stack) > 1 and reason in _UNFINISHED:
+            _, node = self._stack[-1]
+            expected = f"the end </{node.name}> of the element in line {node.line}"
         message = f"{reason} at column {error.offset + 1}; expected {expected}"
         self._findings.problem(error.lineno, message)
 
@@ -248,48 +242,48 @@ class XmlReader:
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         line = self._parser.CurrentLineNumber
-        if self._unknown:
-            if len(self._unknown) + len(self._stack) > self._limits.nesting:
+        parent, above = self._stack[-1]
+        node = XmlNode(name, line, attributes)
+        if parent is None:
+            if len(self._stack) > self._limits.nesting:
                 self._stop(line, f"elements nest deeper than {self._limits.nesting}")
-            self._unknown.append((name, line))
+            self._stack.append((None, node))
             return
-        parent, above, seen = self._stack[-1]
         if self._texts and not parent.holds_text:
             self._refuse_text(parent)
         rule = parent.by_name.get(name)
         if rule is None:
             self._findings.problem(line, _unexpected_element(name, parent))
             above.is_good = False
-            self._unknown.append((name, line))
+            self._stack.append((None, node))
             return
-        if name not in seen:
-            seen[name] = line
-        elif not rule.may_repeat:
-            self._findings.problem(
-                line, f"a second <{name}>; expected one, which stands in line {seen[name]}"
-            )
-        node = XmlNode(name, line, attributes)
+        if not rule.may_repeat:
+            first = next((each.line for each in above.children if each.name == name), None)
+            if first is not None:
+                self._findings.problem(
+                    line, f"a second <{name}>; expected one, which stands in line {first}"
+                )
         if rule.is_unit:
             self._items, self._has_variables = 0, False
         else:
             above.children.append(node)
         if attributes or rule.attributes:
             self._check_attributes(rule, node)
-        self._stack.append((rule, node, {}))
+        self._stack.append((rule, node))
 
     def _end(self, name: str) -> None:
-        if self._unknown:
-            self._unknown.pop()
+        rule, node = self._stack.pop()
+        if rule is None:
             self._texts.clear()
             return
-        rule, node, seen = self._stack.pop()
         if rule.holds_text:
             self._end_text(rule, node)
             return
         if self._texts:
             self._refuse_text(rule)
+        present = {child.name for child in node.children}
         for child in rule.required:
-            if child.name not in seen and not {*child.unless} & {*node.attributes, *seen}:
+            if child.name not in present and not {*child.unless} & {*node.attributes, *present}:
                 self._findings.problem(node.line, f"<{name}> has no <{child.name}>; expected one")
         if rule.is_unit:
             node.has_variables = self._has_variables

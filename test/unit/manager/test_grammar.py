@@ -13,7 +13,6 @@ from specification_strategies import transformations
 
 from dyknow.manager.specifications import specification
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
-from dyknow.manager.specifications.limits import DEFAULT_LIMITS
 from dyknow.manager.specifications.specification import TRANSFORMATION, TRANSFORMATIONS
 from dyknow.manager.specifications.xml_reader import XmlReader
 
@@ -65,9 +64,9 @@ TREES = st.recursive(
 
 
 def reader_accepts(text):
-    findings = Findings("x.xml", 1000)
+    findings = Findings("x.xml")
     with contextlib.suppress(EnoughProblems):
-        list(XmlReader(findings, DEFAULT_LIMITS, TRANSFORMATION, TRANSFORMATIONS).read(text))
+        list(XmlReader(findings, TRANSFORMATION, TRANSFORMATIONS).read(text))
     return not findings.problems
 
 
