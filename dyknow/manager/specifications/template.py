@@ -16,7 +16,7 @@ import re
 from collections import Counter
 from itertools import product
 from math import prod
-from typing import Iterable, Iterator, List, Protocol, Sequence, Tuple, Union
+from typing import Collection, Dict, Iterable, Iterator, List, Protocol, Sequence, Tuple, Union
 
 from dyknow.errors import OntologyError
 from dyknow.manager.specifications.findings import Findings, listed, meant, shorten
@@ -32,6 +32,9 @@ _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:[^\s<>\"{}|\\^`]+\Z")
 
 _Pieces = List[Union[str, int, Placeholder]]
 """A text cut at its variables: literals, and for each variable its position among the args."""
+
+_AllPieces = Dict[Tuple[str, bool], _Pieces]
+"""The pieces of each text, by the text and whether it is a value."""
 
 _Terms = Sequence[Tuple[str, ...]]
 
@@ -72,13 +75,10 @@ class Expander:
         node.children = [each for each in node.children if each.name != "args"]
         names = {arg.get("label"): number for number, arg in enumerate(args)}
         terms = self._all_terms(args)
-        known = self._variables_are_known(node, names)
-        if terms is None or not known or not self._labels_differ(node, names, terms):
+        pieces = self._cut(node, names)
+        if terms is None or pieces is None or not self._labels_differ(node, names, terms):
             return None
         self._check_arguments(node, args, terms)
-        pieces = {
-            (text, is_value): _cut(text, names, is_value) for text, _, is_value in node.texts()
-        }
         if not self._fits(node, pieces, terms):
             return None
         return _substitutions(node, pieces, terms)
@@ -162,38 +162,42 @@ class Expander:
     def _problem(self, arg: XmlNode, message: str) -> None:
         self._findings.problem(arg.line, f"the arg '{shorten(arg.get('label'))}' {message}")
 
-    def _variables_are_known(self, node: XmlNode, names: dict[str, int]) -> bool:
+    def _cut(self, node: XmlNode, names: dict[str, int]) -> _AllPieces | None:
+        """Cut all texts at their variables, and values also at their placeholders.
+
+        Returns:
+            The pieces of each text; None if one has a problem, which was noted.
+        """
+        found: _AllPieces = {}
         good = True
         for text, line, is_value in node.texts():
-            pattern = _BESIDE_PLACEHOLDERS if is_value else _VARIABLE
-            for match in pattern.finditer(text):
-                good = self._is_known(match, names, line) and good
+            parts: Iterable[str | Placeholder] = (text,)
+            fault = ""
             if is_value:
                 try:
-                    placeholders.cut(text)
+                    parts = placeholders.cut(text)
                 except ValueError as error:
-                    good = False
-                    self._findings.problem(line, f"{error} (write $${{? for ${{? itself)")
-        return good
-
-    def _is_known(self, match: re.Match[str], names: dict[str, int], line: int) -> bool:
-        found, name = match.group(), match.group(1)
-        if found == "$${" or name in names:
-            return True
-        if name and name[0] == "?":
-            self._findings.problem(
-                line,
-                f"{shorten(found)} stands outside the text of a <param>, where a variable of tags "
-                "cannot be filled in (write $${ for ${ itself)",
-            )
-            return False
-        shown = "'${' without '}'" if found == "${" else shorten(found)
-        self._findings.problem(
-            line,
-            f"unknown variable {shown}; known variables: {listed(names)} (write $${{ for ${{ "
-            f"itself){meant(name or '', names)}",
-        )
-        return False
+                    fault = f"{error} (write $${{? for ${{? itself)"
+            pieces: _Pieces = []
+            for part in parts:
+                if isinstance(part, Placeholder):
+                    pieces.append(part)
+                    continue
+                end = 0
+                for match in (_BESIDE_PLACEHOLDERS if is_value else _VARIABLE).finditer(part):
+                    known = "${" if match.group() == "$${" else names.get(match.group(1))
+                    if known is None:
+                        good = False
+                        self._findings.problem(line, _unknown(match, names))
+                    else:
+                        pieces += [part[end : match.start()], known]
+                    end = match.end()
+                pieces.append(part[end:])
+            if fault:
+                good = False
+                self._findings.problem(line, fault)
+            found[text, is_value] = [piece for piece in pieces if piece != ""]
+        return found if good else None
 
     def _labels_differ(self, node: XmlNode, names: dict[str, int], terms: _Terms) -> bool:
         label = node.child("label")
@@ -210,7 +214,7 @@ class Expander:
                 return False
         return True
 
-    def _fits(self, node: XmlNode, pieces: dict[tuple[str, bool], _Pieces], terms: _Terms) -> bool:
+    def _fits(self, node: XmlNode, pieces: _AllPieces, terms: _Terms) -> bool:
         """Compute the size of the expansion, and check the limits before anything is expanded."""
         limits = self._findings.limits
         count = prod(len(each) for each in terms)
@@ -248,36 +252,22 @@ def _length(piece: str | Placeholder) -> int:
     return len(piece) if isinstance(piece, str) else len(piece.variable)
 
 
-def _cut(text: str, names: dict[str, int], is_value: bool) -> _Pieces:
-    """Cut a text at its variables, which are known, and a value also at its placeholders."""
-    if not is_value:
-        return _cut_plain(text, names, _VARIABLE)
-    pieces: _Pieces = []
-    for piece in placeholders.cut(text):
-        if isinstance(piece, Placeholder):
-            pieces.append(piece)
-        else:
-            pieces += _cut_plain(piece, names, _BESIDE_PLACEHOLDERS)
-    return pieces
+def _unknown(match: re.Match[str], names: Collection[str]) -> str:
+    """Word the problem of a variable that is none of the args."""
+    found, name = match.group(), match.group(1) or ""
+    if name[:1] == "?":
+        return (
+            f"{shorten(found)} stands outside the text of a <param>, where a variable of tags "
+            "cannot be filled in (write $${ for ${ itself)"
+        )
+    shown = "'${' without '}'" if found == "${" else shorten(found)
+    return (
+        f"unknown variable {shown}; known variables: {listed(names)} (write $${{ for ${{ "
+        f"itself){meant(name, names)}"
+    )
 
 
-def _cut_plain(text: str, names: dict[str, int], variables: re.Pattern[str]) -> _Pieces:
-    pieces: _Pieces = []
-    end = 0
-    for match in variables.finditer(text):
-        escaped = match.group() == "$${"
-        pieces += [
-            text[end : match.start()],
-            "${" if escaped else names.get(match.group(1), match.group()),
-        ]
-        end = match.end()
-    pieces.append(text[end:])
-    return [piece for piece in pieces if piece != ""]
-
-
-def _substitutions(
-    node: XmlNode, pieces: dict[tuple[str, bool], _Pieces], terms: _Terms
-) -> Iterator[XmlNode]:
+def _substitutions(node: XmlNode, pieces: _AllPieces, terms: _Terms) -> Iterator[XmlNode]:
     fixed = {
         key: _joined(cut, key[1])
         for key, cut in pieces.items()
