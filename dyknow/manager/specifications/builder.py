@@ -12,7 +12,7 @@ from sys import intern
 from dyknow.errors import InvalidTag, InvalidType
 from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, listed, meant, shorten
-from dyknow.manager.specifications.formula_parts import FormulaParts, requirements_of
+from dyknow.manager.specifications.formula_parts import FormulaParts
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
@@ -29,6 +29,7 @@ from dyknow.model.transformation import (
     Parameter,
     Port,
     Program,
+    Requirement,
     Transformation,
 )
 
@@ -87,7 +88,7 @@ class Builder:
         if kind == FORMULA or node.child("formula") is not None:
             ports, parameters = self._formula(node, kind, ports)
             source_text = FORMULA_CLASS
-        requires = requirements_of(node, self._problem)
+        requires = self._requirements(node)
         self._check_variables(node, kind, ports, parameters)
         if label is None or (not source_text and external is None):
             return None
@@ -125,6 +126,16 @@ class Builder:
                 unknown = f"a quantifier has the concept '{shorten(concept)}', which is no class"
                 self._warning(element, f"{unknown} of the ontology")
         return parts.built(ports)
+
+    def _requirements(self, node: XmlNode) -> tuple[Requirement, ...]:
+        found = []
+        for each in node.children:
+            if each.name == "requires" and each.is_good:
+                term = _read_tag(each.text)
+                if isinstance(term, InvalidTag):
+                    self._problem(each, f"<requires> '{shorten(each.text)}': {term.expected}")
+                found.append(Requirement(each.text, each.get("initially", "true") == "true"))
+        return tuple(dict.fromkeys(found))
 
     def _problem(self, node: XmlNode, message: str) -> None:
         self._findings.problem(node.line, message)
@@ -375,21 +386,16 @@ class Builder:
             elif direction or kind != FORMULA:  # else it is of individuals
                 used += [(each, where, tag) for each in term.variables]
         for each in node.children:
-            if each.name == "requires" and isinstance(_read_tag(each.text), Term):
+            term = _read_tag(each.text) if each.name == "requires" else None
+            if isinstance(term, Term):
                 where = f"<requires> '{shorten(each.text)}'"
-                term = parse_tag(each.text)
                 used += [(variable, where, each) for variable in term.variables]
+        texts = [(param.get("name"), param.text, param) for param in node.all("params")]
         if kind == FORMULA:
-            used += [
-                (variable, f"the parameter '{name}'", node)
-                for name, _, text in parameters
-                for variable in variables_of(text)
-            ]
-        for param in node.all("params"):
-            used += [
-                (each, f"the parameter '{shorten(param.get('name'))}'", param)
-                for each in variables_of(param.text)
-            ]
+            texts += [(name, text, node) for name, _, text in parameters]
+        for name, text, element in texts:
+            where = f"the parameter '{shorten(name)}'"
+            used += [(variable, where, element) for variable in variables_of(text)]
         for variable, where, element in used:
             if kind == TOPIC:
                 self._problem(

@@ -9,13 +9,12 @@ import json
 import re
 from typing import Callable, Iterable, Sequence
 
-from dyknow.errors import BadParameter, DyKnowError, FormulaError, InvalidTag
+from dyknow.errors import BadParameter, DyKnowError, FormulaError
 from dyknow.formulas import Formula, Range
 from dyknow.formulas.tree import Quantified, walk
 from dyknow.formulas.types import Lookup
 from dyknow.manager.specifications.findings import listed, meant, shorten
-from dyknow.manager.specifications.individual_tags import tag_of_individuals
-from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.specifications.tags import read_tags, tag_of_individuals
 from dyknow.manager.specifications.values import BadValue, parse_value
 from dyknow.manager.specifications.xml_reader import ANY, Attribute, Element, XmlNode
 from dyknow.model.transformation import (
@@ -24,7 +23,6 @@ from dyknow.model.transformation import (
     VERDICT,
     Parameter,
     Port,
-    Requirement,
 )
 
 #: What of a formula's nodelet a specification may set: the parameter's type, and its default.
@@ -124,9 +122,12 @@ class FormulaParts:
         values = {}
         for name, (type_, default) in _SETTINGS.items():
             text = self._element.get(name, default)
-            problem = "" if type_ == "bool" else _problem(type_, text)
-            if problem:
-                self._problem(self._element, f'{name}="{shorten(text)}": {problem}')
+            try:
+                if type_ != "bool" and not _NUMBER.match(text):
+                    raise BadValue("expected a number")
+                parse_value(type_, text)
+            except BadValue as error:
+                self._problem(self._element, f'{name}="{shorten(text)}": {error}')
                 text = default
             values[name] = text
             if name in self._element.attributes:
@@ -180,7 +181,7 @@ class FormulaParts:
     def _tag_of_individuals(self, formula: Formula, port: Port, wanted: Range) -> str:
         """Return the one tag of a port of individuals, with placeholders for other variables."""
         variables = formula.variables
-        terms = [term for term in map(_term, port.tags) if term is not None]
+        terms = read_tags(port.tags)
         if len(terms) != 1:
             self._problem(
                 self._node,
@@ -204,35 +205,5 @@ class FormulaParts:
         return str(term.substitute(others))
 
 
-def requirements_of(node: XmlNode, problem: Note) -> tuple[Requirement, ...]:
-    """Read the `<requires>` of a transformation."""
-    found = []
-    for each in node.children:
-        if each.name == "requires" and each.is_good:
-            try:
-                parse_tag(each.text)
-            except InvalidTag as error:
-                problem(each, f"<requires> '{shorten(each.text)}': {error.expected}")
-            found.append(Requirement(each.text, each.get("initially", "true") == "true"))
-    return tuple(dict.fromkeys(found))
-
-
-def _problem(type_: str, text: str) -> str:
-    if not _NUMBER.match(text):
-        return "expected a number"
-    try:
-        parse_value(type_, text)
-    except BadValue as error:
-        return str(error)
-    return ""
-
-
 def _written(values: dict[str, str]) -> str:
     return json.dumps(values, sort_keys=True, ensure_ascii=False)  # which YAML reads, too
-
-
-def _term(tag: str) -> Term | None:
-    try:
-        return parse_tag(tag)
-    except InvalidTag:
-        return None

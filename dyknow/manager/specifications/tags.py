@@ -14,9 +14,12 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Iterable, Iterator, Mapping, NamedTuple, Protocol, Tuple
+from typing import TYPE_CHECKING, Iterable, Iterator, Mapping, NamedTuple, Protocol, Tuple
 
-from dyknow.errors import InvalidTag, InvalidType
+from dyknow.errors import DyKnowError, InvalidTag, InvalidType
+
+if TYPE_CHECKING:
+    from dyknow.formulas import Range
 
 _TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
@@ -224,3 +227,25 @@ def types_of(terms: Iterable[Term]) -> dict[str, frozenset[str]]:
             if type_:
                 found[arg] = found.get(arg, frozenset()) | {type_}
     return found
+
+
+def tag_of_individuals(port: str, tag: Term, wanted: Range) -> Term:
+    """Return the tag of a port below a quantifier, with the quantifier's concept.
+
+    The bindings of the tag are the individuals.
+
+    Raises:
+        DyKnowError: it does not have the quantifier's variable, or has it with another concept.
+    """
+    variable, concept = wanted
+    where = f"the tag {tag} of the port '{port}'"
+    if variable not in tag.variables:
+        has = f"the variable {', '.join(tag.variables)}" if tag.variables else "no variable"
+        raise DyKnowError(f"{where} has {has}; expected the quantifier's, {variable}")
+    for other in sorted(types_of([tag]).get(variable, frozenset()) - {concept}):
+        if concept:
+            raise DyKnowError(
+                f"{where} has the variable {variable} with the concept {other}; expected the "
+                f"quantifier's, {concept}"
+            )
+    return tag.restricted(variable, concept)

@@ -14,8 +14,7 @@ from dyknow.backoff import Backoff
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.formulas import Formula, Monitor, Verdict
 from dyknow.locks import state_lock
-from dyknow.manager.specifications.individual_tags import tag_of_individuals
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.tags import parse_tag, tag_of_individuals
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.acquiring import AcquiredStream, acquire
 from dyknow.ros.client import ManagerClient

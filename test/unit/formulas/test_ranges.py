@@ -9,8 +9,7 @@ import pytest
 
 from dyknow.errors import DyKnowError, FormulaError
 from dyknow.formulas import Range, parse
-from dyknow.manager.specifications.individual_tags import tag_of_individuals
-from dyknow.manager.specifications.tags import parse_tag
+from dyknow.manager.specifications.tags import parse_tag, tag_of_individuals
 
 
 @pytest.mark.parametrize(
