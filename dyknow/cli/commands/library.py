@@ -160,9 +160,9 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
 def _check(arguments: argparse.Namespace, shell: Shell) -> int | None:
     ontology: Ontology | None = None
     if arguments.ontology:
-        from dyknow.manager.specifications.ontology import load_ontology
+        from dyknow.manager.specifications.ontology import Ontology
 
-        ontology = load_ontology(
+        ontology = Ontology(
             arguments.ontology, language=arguments.language, catalogues=arguments.catalogue
         )
     unread = ontology.warnings if ontology is not None else ()

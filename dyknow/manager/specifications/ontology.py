@@ -10,9 +10,9 @@ statements are listed in `warnings`.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Iterable, Sequence
+from typing import Iterable
 
-from dyknow.errors import IndividualsError, LabelsError, Problem, UnknownConcept
+from dyknow.errors import IndividualsError, LabelsError, UnknownConcept
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.ontology_files import OntologyFiles
 from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
@@ -34,20 +34,43 @@ class Ontology:
 
     def __init__(
         self,
-        statements: OntologyStatements,
-        labels: Labels,
-        classes: Naming,
-        individuals: Naming,
-        warnings: Sequence[Problem] = (),
-        files: Iterable[str] = (),
+        paths: Iterable[str],
+        limits: SpecificationLimits = DEFAULT_LIMITS,
+        language: str = "en",
+        catalogues: Iterable[str] = (),
     ) -> None:
-        """Use `load_ontology`, which reads the files."""
-        self.warnings: tuple[Problem, ...] = tuple(warnings)
-        self.files: tuple[str, ...] = tuple(files)
+        """Read an ontology from local files.
+
+        Args:
+            paths: the files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
+            limits: the caps on each file.
+            language: the language of the labels that are preferred as names.
+            catalogues: files that say where imported ontologies are, beside the file
+                catalog-v001.xml next to each file.
+
+        Raises:
+            OntologyFileError: a file cannot be read, or is not of its extension's format.
+            LabelsError: two classes, or two individuals, have the same label, in the preferred
+                language or in none.
+            OntologyError: the language is none.
+        """
+        self._labels = Labels(language)
+        read = OntologyFiles(paths, catalogues, limits)
+        for file in read.files:
+            self._labels.read(file)
+        remarks = Remarks(read)
+        statements = OntologyStatements(read, remarks)
         self._hierarchy = statements.hierarchy
-        self._labels = labels
-        self._classes = classes
-        self._individuals = individuals
+        named = [each for each in self._hierarchy if not is_blank(each)]
+        alike = self._hierarchy.are_equivalent
+        self._classes = Naming("classes", named, self._labels, alike)
+        self._individuals = Naming("individuals", statements.types, self._labels, str.__eq__)
+        refused = [*self._classes.refused, *self._individuals.refused]
+        if refused:
+            raise LabelsError(refused)
+        remarks.names(self._labels, self._classes, self._individuals)
+        self.warnings = tuple(remarks.problems())
+        self.files = tuple(file.path for file in read.files)
         self._types: dict[str, frozenset[str]] = {}
         self._instances: dict[str, list[str]] = defaultdict(list)
         shared: dict[frozenset[str], frozenset[str]] = {}
@@ -120,10 +143,6 @@ class Ontology:
         found = self._individuals.get(name) or self._classes.get(name)
         return name if found is None or is_blank(found) else found
 
-    def is_subsumed(self, supplied: str, demanded: str) -> bool:
-        """Whether both are the same word, or one names a subclass or instance of the other."""
-        return supplied == demanded or demanded in self.names_above(supplied)
-
     def names_above(self, name: str) -> frozenset[str]:
         """Return a name, its synonyms, and the names of the classes above it."""
         known = self._above.get(name)
@@ -161,47 +180,3 @@ class Ontology:
             for types in {self._types[each] for each in candidates}
         }
         return sorted(found | {each for each in candidates if in_class[self._types[each]]})
-
-
-def load_ontology(
-    paths: Iterable[str],
-    limits: SpecificationLimits = DEFAULT_LIMITS,
-    language: str = "en",
-    catalogues: Iterable[str] = (),
-) -> Ontology:
-    """Read an ontology from local files.
-
-    Args:
-        paths: the files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
-        limits: the caps on each file.
-        language: the language of the labels that are preferred as names.
-        catalogues: files that say where imported ontologies are, beside the file
-            catalog-v001.xml next to each file.
-
-    Raises:
-        OntologyFileError: a file cannot be read, or is not of its extension's format.
-        LabelsError: two classes, or two individuals, have the same label, in the preferred
-            language or in none.
-        OntologyError: the language is none.
-    """
-    labels = Labels(language)
-    imported = OntologyFiles(paths, catalogues, limits)
-    for file in imported.files:
-        labels.read(file)
-    statements = OntologyStatements(imported.files)
-    hierarchy = statements.hierarchy
-    named = [each for each in hierarchy if not is_blank(each)]
-    classes = Naming("classes", named, labels, hierarchy.are_equivalent)
-    individuals = Naming("individuals", statements.types, labels, str.__eq__)
-    if classes.refused or individuals.refused:
-        raise LabelsError([*classes.refused, *individuals.refused])
-    remarks = Remarks(imported.files)
-    for each in statements.unread:
-        remarks.unread(*each)
-    if not statements.is_complete:
-        remarks.too_many_unions()
-    for uri, importer in imported.missing:
-        remarks.not_imported(importer, uri)
-    remarks.names(labels, classes, individuals)
-    files = (file.path for file in imported.files)
-    return Ontology(statements, labels, classes, individuals, remarks.problems(), files)

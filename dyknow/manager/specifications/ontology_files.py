@@ -14,7 +14,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Iterable, Mapping, NamedTuple, Sequence
+from typing import Iterable, Mapping, NamedTuple
 from urllib.parse import unquote, urljoin, urlsplit
 from xml.parsers import expat
 
@@ -61,17 +61,12 @@ class OntologyFile(NamedTuple):
     graph: rdflib.Graph
 
 
-def merged(files: Sequence[OntologyFile]) -> rdflib.Graph:
-    """Return a view of all statements of the files."""
-    graphs = [file.graph for file in files] or [rdflib.Graph()]
-    return rdflib.graph.ReadOnlyGraphAggregate(graphs)
-
-
 class OntologyFiles:
     """The files of an ontology.
 
     Attributes:
         files: those that are named, then those that they import.
+        graph: a view of all their statements.
         missing: imports that no file satisfies, with the paths of the importing files.
     """
 
@@ -96,6 +91,13 @@ class OntologyFiles:
         for file in self.files:  # it grows meanwhile
             imports += self._follow(file)
         self.missing = [each for each in imports if _plain(each[0]) not in self._known]
+        graphs = [file.graph for file in self.files] or [rdflib.Graph()]
+        self.graph: rdflib.Graph = rdflib.graph.ReadOnlyGraphAggregate(graphs)
+
+    def home(self, node: rdflib.term.Node) -> str:
+        """Return the path of the first file that states something of a node, else the first."""
+        stating = (each.path for each in self.files if (node, None, None) in each.graph)
+        return next(stating, self.files[0].path)
 
     def _follow(self, file: OntologyFile) -> list[tuple[str, str]]:
         """Read the imports of a file; return those for which no file is found."""
@@ -244,8 +246,7 @@ def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
     graph = rdflib.Graph()
     try:
         if kind == "xml":
-            _check_entities(data, limits)
-            _check_root(data)
+            _check_xml(data, limits)
         # Given bytes instead of a location, rdflib has nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
     except RecursionError as error:
@@ -269,32 +270,14 @@ class _Begun(Exception):
     """The first element has begun: entities are only declared before it."""
 
 
-def _check_root(data: bytes) -> None:
-    """Raise ValueError for XML that is no RDF, such as a page that was fetched instead of a file.
+def _check_xml(data: bytes, limits: SpecificationLimits) -> None:
+    """Raise ValueError for XML that would expand, or is no RDF, such as a page that was fetched.
 
-    A text that is not well-formed passes: the parser that follows refuses it.
-    """
-
-    def begin(name: str, attributes: Mapping[str, str]) -> None:
-        if name != f"{RDF} RDF" and not any(each.startswith(f"{RDF} ") for each in attributes):
-            is_owl = name == f"{OWL} Ontology"
-            tag = name.split(" ")[-1][:60]
-            found = "as OWL/XML, which is not read" if is_owl else f"with <{tag}>"
-            raise ValueError(f"it begins {found}; expected <rdf:RDF>")
-        raise _Begun
-
-    parser = expat.ParserCreate(namespace_separator=" ")
-    parser.StartElementHandler = begin
-    with contextlib.suppress(_Begun, expat.ExpatError):
-        parser.Parse(data, True)
-
-
-def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
-    """Raise ValueError for entities that contain entities, or expand to more than the limit.
-
-    A text that is not well-formed passes: the parser that follows refuses it.
+    Entities must not contain entities, nor expand to more than the limit. A text that is not
+    well-formed passes: the parser that follows refuses it.
     """
     sizes: dict[bytes, int] = {}
+    wrong_root = ""
 
     def declare(name: str, is_parameter: bool, value: str | None, *_: object) -> None:
         if value is None:  # an external entity, which is not read
@@ -304,10 +287,16 @@ def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
             raise ValueError(f"the entity '{name[:60]}' {what}; expected plain text in it")
         sizes.setdefault(name.encode("utf-8"), len(value.encode("utf-8")))
 
-    def begin(*_: object) -> None:
+    def begin(name: str, attributes: Mapping[str, str]) -> None:
+        nonlocal wrong_root
+        if name != f"{RDF} RDF" and not any(each.startswith(f"{RDF} ") for each in attributes):
+            is_owl = name == f"{OWL} Ontology"
+            tag = name.split(" ")[-1][:60]
+            found = "as OWL/XML, which is not read" if is_owl else f"with <{tag}>"
+            wrong_root = f"it begins {found}; expected <rdf:RDF>"
         raise _Begun
 
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate(namespace_separator=" ")
     parser.EntityDeclHandler = declare
     parser.StartElementHandler = begin
     with contextlib.suppress(_Begun, expat.ExpatError):
@@ -320,3 +309,5 @@ def _check_entities(data: bytes, limits: SpecificationLimits) -> None:
         raise ValueError(
             f"its entities expand to {expanded} bytes; expected at most {limits.expanded_entities}"
         )
+    if wrong_root:
+        raise ValueError(wrong_root)

@@ -17,15 +17,13 @@ from typing import NamedTuple, Sequence
 import rdflib
 
 from dyknow.errors import Problem
-from dyknow.manager.specifications.ontology_files import OntologyFile
-from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
-from dyknow.manager.specifications.ontology_statements import RELATIVES
+from dyknow.manager.specifications.ontology_files import OntologyFile, OntologyFiles
+from dyknow.manager.specifications.ontology_names import Labels, Naming, local_name
 
 #: Most remarks that are listed for one file.
 _LISTED = 100
 #: Most URIs that one remark lists.
 _URIS = 5
-_IN_PART = frozenset(local_name(str(each)) for each in RELATIVES)
 
 
 class _Remark(NamedTuple):
@@ -39,25 +37,25 @@ class _Remark(NamedTuple):
 class Remarks:
     """The warnings about the files of an ontology."""
 
-    def __init__(self, files: Sequence[OntologyFile]) -> None:
+    def __init__(self, files: OntologyFiles) -> None:
+        """Note the imports that are missing."""
         self._files = files
         self._remarks: dict[str, set[_Remark]] = defaultdict(set)
+        for uri, importer in files.missing:
+            message = (
+                f"owl:imports of <{uri}> is not followed: no file that was named is this "
+                "ontology, and no catalogue names a local file for it"
+            )
+            self._note(importer, uri, "imports", message)
 
-    def unread(self, path: str, owner: str, word: str) -> None:
+    def unread(self, path: str, owner: str, word: str, is_in_part: bool = False) -> None:
         what = f"owl:{word}" if word else "a class expression"
-        how = "read in part" if word in _IN_PART else "not read"
+        how = "read in part" if is_in_part else "not read"
         self._note(path, owner, word, f"{what} in the description of <{owner}> is {how}")
-
-    def not_imported(self, path: str, uri: str) -> None:
-        message = (
-            f"owl:imports of <{uri}> is not followed: no file that was named is this ontology, "
-            "and no catalogue names a local file for it"
-        )
-        self._note(path, uri, "imports", message)
 
     def too_many_unions(self) -> None:
         message = "too many unions to find all superclasses that the parts of each have in common"
-        self._note(self._files[0].path, "unionOf", "", message)
+        self._note(self._files.files[0].path, "unionOf", "", message)
 
     def names(self, labels: Labels, classes: Naming, individuals: Naming) -> None:
         """Note the names that are not labels in the preferred language."""
@@ -94,7 +92,7 @@ class Remarks:
         """Return the warnings of each file by line, those without a line last."""
         return [
             problem
-            for file in self._files
+            for file in self._files.files
             for problem in _placed(file, sorted(self._remarks[file.path]))
         ]
 
@@ -102,13 +100,7 @@ class Remarks:
         self._remarks[path].add(_Remark(term, word, message))
 
     def _home(self, entity: str) -> str:
-        """Return the first file that states something of an entity, else the first one."""
-        if not is_blank(entity):
-            node = rdflib.URIRef(entity)
-            for file in self._files:
-                if (node, None, None) in file.graph:
-                    return file.path
-        return self._files[0].path
+        return self._files.home(rdflib.URIRef(entity))
 
 
 def _uris(entities: Sequence[str]) -> str:

@@ -12,15 +12,16 @@ by itself.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Iterator, NamedTuple, Sequence
+from typing import NamedTuple
 
 import rdflib
 from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import OntologyFileError
-from dyknow.manager.specifications.ontology_files import OntologyFile, merged
+from dyknow.manager.specifications.ontology_files import OntologyFiles
 from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
 from dyknow.manager.specifications.ontology_names import local_name, node_key
+from dyknow.manager.specifications.ontology_remarks import Remarks
 
 Node = rdflib.term.Node
 
@@ -41,24 +42,16 @@ _COUNTS = (
     OWL.qualifiedCardinality,
 )
 #: Restrictions by which a class has some relative: read for classes, not for individuals.
-RELATIVES = (OWL.someValuesFrom, OWL.hasValue, *_COUNTS)
+_RELATIVES = (OWL.someValuesFrom, OWL.hasValue, *_COUNTS)
 #: Expressions that are not read wholly.
 _WORDS = (
-    *RELATIVES,
+    *_RELATIVES,
     OWL.allValuesFrom,
     OWL.maxCardinality,
     OWL.maxQualifiedCardinality,
     OWL.hasSelf,
     OWL.complementOf,
 )
-
-
-class Unread(NamedTuple):
-    """A statement that is skipped: the file, whom it describes, the word that names it there."""
-
-    path: str
-    owner: str
-    word: str
 
 
 class _Relatives(NamedTuple):
@@ -80,12 +73,13 @@ class OntologyStatements:
     Attributes:
         hierarchy: the classes.
         types: the classes of each individual, as stated; those of superclasses follow.
-        unread: the skipped statements.
-        is_complete: whether all consequences of unions and relatives were found.
     """
 
-    def __init__(self, files: Sequence[OntologyFile]) -> None:
-        """Read the statements, or raise OntologyFileError for a malformed list."""
+    def __init__(self, files: OntologyFiles, remarks: Remarks) -> None:
+        """Read the statements, or raise OntologyFileError for a malformed list.
+
+        The skipped ones are noted in ``remarks``.
+        """
         self.hierarchy = Hierarchy()
         #: Properties and their inverses, which are `^` and the property.
         self._properties = Hierarchy()
@@ -93,7 +87,7 @@ class OntologyStatements:
         self._domains: dict[str, set[str]] = defaultdict(set)
         self.types: dict[str, set[str]] = defaultdict(set)
         self._files = files
-        self._graph = merged(files)
+        self._graph = files.graph
         #: Expressions by the class, individual or expression that they describe.
         self._described: dict[Node, list[rdflib.BNode]] = defaultdict(list)
         self._data = {
@@ -104,10 +98,11 @@ class OntologyStatements:
         self._read_types()
         self._read_subclasses()
         self._read_lists()
-        self.unread = sorted({*self._unread_expressions(), *self._same_individuals()})
+        self._note_unread(remarks)
         self._read_properties()
         self._read_domains_and_ranges()
-        self.is_complete = self._complete(VISITS)
+        if not self._complete(VISITS):
+            remarks.too_many_unions()
 
     def _read_types(self) -> None:
         for node, kind in self._graph.subject_objects(RDF.type):
@@ -155,7 +150,7 @@ class OntologyStatements:
                         else "a class without a name"
                     )
                     raise OntologyFileError(
-                        self._file_of(node), f"the list of owl:{word} of {what}: {error}"
+                        self._files.home(node), f"the list of owl:{word} of {what}: {error}"
                     ) from error
                 if all(map(self._is_class, (node, *members))):
                     self._add_expression(node, predicate, members)
@@ -197,8 +192,8 @@ class OntologyStatements:
         else:
             self.hierarchy.add_union(key, parts)
 
-    def _unread_expressions(self) -> Iterator[Unread]:
-        """Find the expressions of unread kinds, from the named nodes that they describe."""
+    def _note_unread(self, remarks: Remarks) -> None:
+        """Note the expressions of unread kinds, by the named nodes that they describe."""
         seen: set[Node] = set()
         for owner in [node for node in self._described if isinstance(node, rdflib.URIRef)]:
             waiting: list[Node] = [owner]
@@ -209,21 +204,17 @@ class OntologyStatements:
                 waiting += found
                 for each in found:
                     if not any((each, word, None) in self._graph for word in _BOOLEANS):
-                        yield Unread(self._file_of(each), str(owner), self._word(each))
-
-    def _same_individuals(self) -> Iterator[Unread]:
-        for file in self._files:
+                        words = (word for word in _WORDS if (each, word, None) in self._graph)
+                        word = next(words, "")
+                        remarks.unread(
+                            self._files.home(each),
+                            str(owner),
+                            local_name(str(word)),
+                            word in _RELATIVES,
+                        )
+        for file in self._files.files:
             for node in file.graph.subjects(OWL.sameAs):
-                yield Unread(file.path, node_key(node), "sameAs")
-
-    def _word(self, expression: Node) -> str:
-        words = (each for each in _WORDS if (expression, each, None) in self._graph)
-        return local_name(str(next(words, "")))
-
-    def _file_of(self, node: Node) -> str:
-        """Return the first file that states something of a node, else the first one."""
-        stating = (each.path for each in self._files if (node, None, None) in each.graph)
-        return next(stating, self._files[0].path)
+                remarks.unread(file.path, node_key(node), "sameAs")
 
     def _read_properties(self) -> None:
         for lower, upper in self._graph.subject_objects(RDFS.subPropertyOf):

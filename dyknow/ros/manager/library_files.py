@@ -189,12 +189,11 @@ class LibraryFiles:
         if not paths:
             self._related = (), {}
             return None
-        from dyknow.manager.specifications.ontology import (
-            load_ontology,  # rdflib takes its time to import
-        )
+        # Here: rdflib takes its time to import.
+        from dyknow.manager.specifications.ontology import Ontology
 
         before = stamps(paths)
-        found = load_ontology(
+        found = Ontology(
             paths, language=self._settings.language, catalogues=self._settings.catalogues
         )
         self._related = paths, {**stamps(found.files), **before}

@@ -13,7 +13,7 @@ import pytest
 
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.ontology import Ontology, load_ontology
+from dyknow.manager.specifications.ontology import Ontology
 
 PREFIXES = """\
 @prefix : <http://example.org/#> .
@@ -61,7 +61,7 @@ def write(folder: Path, files: Dict[str, str]) -> None:
 
 def load(folder: Path, files: Dict[str, str], *named: str, **options: Any) -> Ontology:
     write(folder, files)
-    return load_ontology([str(folder / each) for each in named or ("main.ttl",)], **options)
+    return Ontology([str(folder / each) for each in named or ("main.ttl",)], **options)
 
 
 def classes(found: Ontology, *names: str) -> List[str]:
@@ -283,6 +283,4 @@ def test_a_catalogue_that_is_too_large_is_refused(tmp_path: Path) -> None:
     (tmp_path / "c.xml").write_text(catalogue())
 
     with pytest.raises(OntologyFileError, match=r"c\.xml: is too large; expected at most 9 bytes"):
-        load_ontology(
-            [], catalogues=[str(tmp_path / "c.xml")], limits=SpecificationLimits(text_size=9)
-        )
+        Ontology([], catalogues=[str(tmp_path / "c.xml")], limits=SpecificationLimits(text_size=9))

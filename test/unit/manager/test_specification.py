@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
-from dyknow.manager.specifications.ontology import load_ontology
+from dyknow.manager.specifications.ontology import Ontology
 from dyknow.manager.specifications.specification import parse, parse_file
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.transformation import Parameter, Port, Program, Transformation
@@ -152,7 +152,7 @@ def test_what_has_no_effect_is_accepted_with_a_warning(text, warnings):
 def test_a_type_that_is_no_class_is_accepted_with_a_warning():
     text = f"""{IMAGE}<tags>
         <tag port="in">Image(?camera: Camera, ?lens: ball)</tag></tags></transformation>"""
-    ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
+    ontology = Ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
 
     assert parse(text).warnings == ()
     assert [each.message for each in parse(text, ontology=ontology).warnings] == [
@@ -173,7 +173,7 @@ def test_the_concept_of_a_quantifier_restricts_the_tags_of_its_ports():
     tags = {"image": "Image(?c: Camera)", "scan": "Scan(?d: Laser)"}
     assert json.loads(given["individuals"]) == tags
 
-    ontology = load_ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
+    ontology = Ontology([str(EXAMPLES.parent / "ontologies" / "soccer.ttl")])
     text = text.replace("Camera", "Camra").replace("?d: Laser", "?d")
     assert [each.message for each in parse(text, ontology=ontology).warnings] == [
         "a quantifier has the concept 'Camra', which is no class of the ontology"

@@ -12,7 +12,7 @@ import pytest
 
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, Live, NoPlan
-from dyknow.manager.specifications.ontology import load_ontology
+from dyknow.manager.specifications.ontology import Ontology
 from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.specifications.tags import parse_tag
 
@@ -31,7 +31,7 @@ CEILING = ["ceiling_camera", "image_subsampler", "field_ball_detector", "localiz
 
 @pytest.fixture(scope="module")
 def ontology():
-    return load_ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
+    return Ontology([str(EXAMPLES / "ontologies" / "soccer.ttl")])
 
 
 @pytest.fixture(scope="module")
