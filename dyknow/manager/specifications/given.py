@@ -155,22 +155,20 @@ def set_on_load(
             continue
         try:
             unbound = [each for each in variables_of(text) if each not in bindings]
-        except ValueError as error:
-            problems.append(f"the parameter '{name}' has {error}")
-            continue
-        problems += [
-            f"nothing says what {each} in the parameter '{name}' stands for; give it, as in "
-            f"--param '{each}=NAME'"
-            for each in unbound
-        ]
-        if not unbound:
-            try:
+            if not unbound:
                 filled_text = filled(type_, text, bindings)
                 parse_value(type_, filled_text)
-            except BadValue as error:
-                problems.append(f"the parameter '{shorten(name)}': {error}")
-            else:
                 result.append(Parameter(name, type_, filled_text))
+        except BadValue as error:
+            problems.append(f"the parameter '{shorten(name)}': {error}")
+        except ValueError as error:
+            problems.append(f"the parameter '{name}' has {error}")
+        else:
+            problems += [
+                f"nothing says what {each} in the parameter '{name}' stands for; give it, as in "
+                f"--param '{each}=NAME'"
+                for each in unbound
+            ]
     if problems:
         raise InvalidParameters(transformation.label, problems)
     return (*result, *overriding)
