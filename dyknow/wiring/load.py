@@ -1,28 +1,29 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The steps that carry out the plan of a load, each with its reversal."""
+"""The steps that carry out the plan of a load, each with its reversal, and what runs then."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Iterator, Mapping
+from typing import Iterator, Mapping, Sequence
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.steps import ReversibleStep, check_connected, spawning
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import Model, SpawnRequest, State
 from dyknow.model.hosts import pins
+from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.model.transformation import Transformation
 from dyknow.wiring.plan import Kept, LoadPlan
-from dyknow.wiring.wiring import request_of
+from dyknow.wiring.wiring import Wiring, request_of
 
 
 def steps_of(plan: LoadPlan, client: BaseManagerClient) -> list[ReversibleStep]:
     """List the steps: ends of nodelets, transformations, new nodelets, changes of running ones."""
     pinned = pins(client.list_hosts()) if plan.remade else {}
-    library = [*((None, each) for each in plan.added), *zip(plan.replaced, plan.replacing)]
+    library = [*((None, each) for each in plan.added), *plan.replaced]
     made = [
         replace(each, manager="") if each.name in plan.any_manager else each for each in plan.made
     ]
@@ -135,3 +136,20 @@ def _change(kept: Kept, client: BaseManagerClient) -> Iterator[ReversibleStep]:
             lambda: client.set_protection(name, wanted.is_protected),
             lambda: client.set_protection(name, present.is_protected),
         )
+
+
+def unsettled(wiring: Wiring, model: Model, streams: Sequence[StreamStatus]) -> Iterator[str]:
+    """Say what of a wiring does not run, and which claims that use it are not active."""
+    wanted = {each.name for each in wiring.nodelets}
+    for name in sorted(wanted):
+        nodelet = model.nodelet(name)
+        if nodelet is None:
+            yield f"nodelet '{name}' is not there"
+        elif nodelet.state is not State.RUNNING:
+            why = f": {nodelet.detail}" if nodelet.detail else ""
+            yield f"nodelet '{name}' is {nodelet.state.name.lower()}{why}"
+    for claim in streams:
+        is_active = claim.state is ClaimState.ACTIVE or claim.state.ended
+        if not (is_active or wanted.isdisjoint(claim.nodelets)):
+            why = f": {claim.detail}" if claim.detail else ""
+            yield f"claim {claim.claim_id}, {claim.tag}, is {claim.state.name.lower()}{why}"

@@ -72,8 +72,7 @@ class LoadPlan:
 
     Attributes:
         added: transformations that the library does not have.
-        replaced: transformations that the library has otherwise: the present ones.
-        replacing: the file's transformations, one for each of these.
+        replaced: transformations that the library has otherwise, each with the file's.
         same: labels of those that it has just so.
         spawned: nodelets to make that are not there, readers before writers.
         remade: running nodelets that are to be made again, since they were made otherwise.
@@ -85,8 +84,7 @@ class LoadPlan:
     """
 
     added: list[Transformation] = field(default_factory=list)
-    replaced: list[Transformation] = field(default_factory=list)
-    replacing: list[Transformation] = field(default_factory=list)
+    replaced: list[tuple[Transformation, Transformation]] = field(default_factory=list)
     same: list[str] = field(default_factory=list)
     spawned: list[SpawnRequest] = field(default_factory=list)
     remade: list[Kept] = field(default_factory=list)
@@ -99,7 +97,7 @@ class LoadPlan:
     @property
     def is_done(self) -> bool:
         """Whether a load would change nothing."""
-        changes = (self.added, self.replacing, self.spawned, self.remade)
+        changes = (self.added, self.replaced, self.spawned, self.remade)
         return not any(changes) and all(each.is_as_wanted for each in self.kept)
 
     @property
@@ -166,8 +164,7 @@ def _plan_transformations(plan: LoadPlan, wiring: Wiring, replace: bool) -> None
         elif present == transformation:
             plan.same.append(transformation.label)
         else:
-            plan.replaced.append(present)
-            plan.replacing.append(transformation)
+            plan.replaced.append((present, transformation))
             if not replace:
                 plan.problems.append(
                     f"transformation '{transformation.label}' is in the library already, and "
@@ -225,7 +222,7 @@ def _is_remade(
             f"nodelet '{nodelet.name}' runs already, not isolated; expected the contrary"
         )
         return False
-    is_replaced = nodelet.label in (each.label for each in plan.replaced) and not blueprint.node
+    is_replaced = nodelet.label in (old.label for old, _ in plan.replaced) and not blueprint.node
     outdated: tuple[str, ...] = ()
     if not is_replaced:
         outdated = _otherwise_made(blueprint, nodelet, present, stored)

@@ -17,9 +17,8 @@ from dyknow.errors import ManagerUnreachable, SpecificationError
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.steps import StepFailed, carry_out
 from dyknow.model.hosts import pins
-from dyknow.wiring.load import steps_of
+from dyknow.wiring.load import steps_of, unsettled
 from dyknow.wiring.plan import LoadPlan, plan_load
-from dyknow.wiring.settled import unsettled
 from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_of
 
 if TYPE_CHECKING:
@@ -203,7 +202,7 @@ def _outcome(plan: LoadPlan, failed: Collection[str]) -> Json:
     return {
         "transformations": {
             "added": done(each.label for each in plan.added),
-            "replaced": done(each.label for each in plan.replacing),
+            "replaced": done(new.label for _, new in plan.replaced),
             "kept": plan.same,
         },
         "nodelets": {

@@ -21,8 +21,8 @@ from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, SpawnRequest, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.wiring.load import unsettled
 from dyknow.wiring.plan import readers_first
-from dyknow.wiring.settled import unsettled
 from dyknow.wiring.wiring import Wiring, wiring_of
 
 IMAGE = "sensor_msgs/Image"
