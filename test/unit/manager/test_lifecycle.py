@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Callable, Mapping
+from typing import Mapping
 
 import pytest
 from clocks import HandClock, SteppedClock, in_thread, join
@@ -48,14 +48,6 @@ def nothing_left(world: World, name: str) -> bool:
     )
 
 
-def failing(step: str, words: str) -> Callable[[str, str], None]:
-    def fail(operation: str, argument: str) -> None:
-        if operation == step:
-            raise HostError(words)
-
-    return fail
-
-
 def test_a_spawned_nodelet_runs_connected_with_its_parameters(world: World) -> None:
     world.spawn("camera", "front", config={"image": "pictures"})
     record = world.manager.graph.get("/front")
@@ -94,7 +86,7 @@ def test_what_is_wrong_is_named_and_leaves_nothing(
 @pytest.mark.parametrize("step", ["ensure", "load", "loaded", "ports", "connect"])
 @pytest.mark.parametrize("isolated", [False, True])
 def test_a_failure_at_any_step_leaves_nothing(world: World, step: str, isolated: bool) -> None:
-    world.host.fail = failing(step, "went wrong")
+    world.host.fail_at(step, error="went wrong")
     with pytest.raises((SpawnFailed, HostError), match="went wrong"):
         world.spawn("camera", "x", config={"image": "/i"}, isolated=isolated)
     world.host.recover()
@@ -115,7 +107,7 @@ def test_destroy_unloads_and_deletes_the_parameters_it_set(world: World) -> None
     with pytest.raises(Protected, match="dyknow unprotect"):
         world.manager.destroy("a")
     world.manager.set_protection("a", False)
-    world.host.fail = failing("unload", "not now")
+    world.host.fail_at("unload", error="not now")
     with pytest.raises(HostError, match="not now"):
         world.manager.destroy("a")
     assert world.states() == {"/a": "RUNNING"}

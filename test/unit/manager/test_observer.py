@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Callable, Dict, List, Tuple
 
 import pytest
-from unit.manager.world import World
+from unit.manager.world import Killed, World
 
 from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
@@ -185,10 +185,6 @@ def test_the_next_nodelet_of_a_name_does_not_wait_for_the_failures_of_the_last(
             world.manager.look()
             assert world.states() == {"/a": "RUNNING"}
         world.manager.destroy("a")
-
-
-class Killed(BaseException):
-    """The manager is killed."""
 
 
 def test_whatever_is_starting_says_why(world: World) -> None:

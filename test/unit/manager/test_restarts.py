@@ -11,7 +11,7 @@ from typing import Any, Callable, List
 import pytest
 from clocks import HandClock
 from unit.manager.field import CHAIN, IMAGE, Field
-from unit.manager.world import CAMERA, RELAY, TRACKER, World
+from unit.manager.world import CAMERA, RELAY, TRACKER, Killed, World
 
 from dyknow.errors import (
     CannotMove,
@@ -34,8 +34,17 @@ def world(tmp_path: Any) -> World:
     return World(str(tmp_path / "state"), clock=HandClock())
 
 
-class Killed(BaseException):
-    """Ends the manager as ``kill -9`` does."""
+@pytest.fixture
+def front(world: World) -> World:
+    """A world with a camera."""
+    world.spawn("camera", "front", config={"image": "/a"})
+    return world
+
+
+def check_front(world: World) -> None:
+    """The camera, and nothing else, runs on the topic to which it was connected."""
+    assert world.states() == {"/front": "RUNNING"}
+    assert world.host.nodelet("/front").ports["image"].topic == "/a"
 
 
 def loads(world: World) -> List[str]:
@@ -61,22 +70,21 @@ def test_a_restart_keeps_what_users_have_changed(world: World) -> None:
     assert world.manager.graph.get("/front").status == before.status
 
 
-def test_a_new_specification_is_shown_and_taken(world: World) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
-    assert world.manager.graph.get("/front").status.outdated == ""
+def test_a_new_specification_is_shown_and_taken(front: World) -> None:
+    assert front.manager.graph.get("/front").status.outdated == ""
     new = CAMERA.replace(">30<", ">10<").replace("Raw(camera)", "Raw(front)")
-    world.manager.add_transformation(new)
-    world.manager.look()
-    status = world.manager.graph.get("/front").status
+    front.manager.add_transformation(new)
+    front.manager.look()
+    status = front.manager.graph.get("/front").status
     assert status.state is State.RUNNING
     assert status.outdated == "its specification changed since it was loaded"
-    world.kill_manager()
-    assert world.manager.graph.get("/front").status.outdated
-    world.manager.restart("/front")
-    after = world.manager.graph.get("/front")
+    front.kill_manager()
+    assert front.manager.graph.get("/front").status.outdated
+    front.manager.restart("/front")
+    after = front.manager.graph.get("/front")
     assert after.status.outdated == after.detail == ""
     assert [(port.topic, port.tags) for port in after.ports] == [("/a", ("Raw(front)",))]
-    assert world.host.parameters == {"/front/rate": 10.0}
+    assert front.host.parameters == {"/front/rate": 10.0}
 
 
 def test_new_code_is_shown_and_taken_and_lasts_longer_than_the_manager(world: World) -> None:
@@ -160,20 +168,18 @@ def test_what_others_made_is_not_restarted(world: World) -> None:
         world.manager.restart("/driver")
 
 
-def test_a_specification_that_does_not_work_gives_way_to_the_former_one(world: World) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
+def test_a_specification_that_does_not_work_gives_way_to_the_former_one(front: World) -> None:
     new = CAMERA.replace(">30<", ">10<").replace("<port ", '<port type="in">more</port><port ')
-    world.manager.add_transformation(new)
+    front.manager.add_transformation(new)
     with pytest.raises(
         RestartFailed, match="no port 'more'.*as its former specification"
     ) as raised:
-        world.manager.restart("front")
+        front.manager.restart("front")
     assert raised.value.is_back
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
-    assert world.host.parameters == {"/front/rate": 30.0}
-    world.manager.look()
-    assert world.manager.graph.get("/front").status.outdated
+    check_front(front)
+    assert front.host.parameters == {"/front/rate": 30.0}
+    front.manager.look()
+    assert front.manager.graph.get("/front").status.outdated
 
 
 def test_code_that_does_not_start_is_tried_as_soon_as_it_changes(world: World) -> None:
@@ -191,28 +197,34 @@ def test_code_that_does_not_start_is_tried_as_soon_as_it_changes(world: World) -
     assert world.states() == {"/front": "FAILED"}
     world.host.code["pkg/Camera"] = "good"
     world.manager.look()
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    check_front(world)
 
 
-def test_a_process_that_does_not_answer_restarts_its_nodelet_later(world: World) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
-    manager = world.manager.graph.get("/front").manager
-    world.host.hang(manager)
+def test_a_process_that_does_not_answer_restarts_its_nodelet_later(front: World) -> None:
+    manager = front.manager.graph.get("/front").manager
+    front.host.hang(manager)
     with pytest.raises(HostTimeout):
-        world.manager.restart("front")
-    world.host.wake(manager)
-    world.host.vanish("/front")  # the answer to the question that hung
-    world.manager.look()
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+        front.manager.restart("front")
+    front.host.wake(manager)
+    front.host.vanish("/front")  # the answer to the question that hung
+    front.manager.look()
+    check_front(front)
 
 
-def look_later(world: World) -> None:
-    """Look when the pause after a failure is over."""
+def pass_time(world: World, seconds: float = 40.0, looks: int = 5) -> None:
+    """Look after each pause, so that whatever failed is tried again."""
     assert isinstance(world.clock, HandClock)
-    world.clock.time += 1.0
-    world.manager.look()
+    for _ in range(looks):
+        world.clock.time += seconds
+        world.manager.look()
+
+
+def answer(world: World) -> None:
+    """Let late calls arrive, and look when the pause after a failure is over."""
+    world.host.recover()
+    world.host.slow.clear()
+    world.host.arrive()
+    pass_time(world, 1.0, 1)
 
 
 LATE = [
@@ -243,31 +255,26 @@ def test_a_nodelet_comes_back_however_late_its_unload_is(
     world.manager.look()
     assert world.host.nodelet("/front") is before
     assert world.states() != {"/front": "RUNNING"}
-    world.host.slow.clear()
-    world.host.arrive()
-    look_later(world)
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    answer(world)
+    check_front(world)
     assert world.manager.graph.get("/front").status.outdated == ""
     world.host.vanish("/front")
     world.manager.look()
     assert world.states() == {}, "the next unload is another client's"
 
 
-def test_a_nodelet_whose_load_ends_after_all_is_connected(world: World) -> None:
+def test_a_nodelet_whose_load_ends_after_all_is_connected(front: World) -> None:
     """A manager was killed during the load; that of its next life finds the name taken."""
-    world.spawn("camera", "front", config={"image": "/a"})
-    world.host.vanish("/front")
+    front.host.vanish("/front")
     request = LoadRequest("/front", "pkg/Camera")
-    world.host.fail_at("load", error="it is being loaded")
+    front.host.fail_at("load", error="it is being loaded")
     with pytest.raises(RestartFailed):
-        world.manager.restart("front")
-    world.host.recover()
-    world.host.load(world.manager.graph.get("/front").manager, request, 1.0)
-    world.manager.look()
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
-    assert world.manager.graph.get("/front").topics == {"image": "/a"}
+        front.manager.restart("front")
+    front.host.recover()
+    front.host.load(front.manager.graph.get("/front").manager, request, 1.0)
+    front.manager.look()
+    check_front(front)
+    assert front.manager.graph.get("/front").topics == {"image": "/a"}
 
 
 def test_nothing_is_left_of_a_spawn_whose_undoing_is_late(world: World) -> None:
@@ -282,98 +289,75 @@ def test_nothing_is_left_of_a_spawn_whose_undoing_is_late(world: World) -> None:
     assert (world.states(), world.host.running, world.host.parameters) == ({}, [], {})
 
 
-def test_a_repair_whose_undoing_is_late_is_repeated(world: World) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
-    world.host.kill(world.manager.graph.get("/front").manager)
-    world.host.slow.add("/front")
+def test_a_repair_whose_undoing_is_late_is_repeated(front: World) -> None:
+    front.host.kill(front.manager.graph.get("/front").manager)
+    front.host.slow.add("/front")
     for _ in range(2):
-        world.manager.look()
-        assert world.states() == {"/front": "FAILED"}
-    world.host.slow.clear()
-    world.host.arrive()
-    look_later(world)
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+        front.manager.look()
+        assert front.states() == {"/front": "FAILED"}
+    answer(front)
+    check_front(front)
 
 
-def test_a_name_that_is_taken_meanwhile_is_no_success(world: World) -> None:
+def test_a_name_that_is_taken_meanwhile_is_no_success(front: World) -> None:
     """Another client loads a nodelet of that name as soon as the former one is gone."""
-    world.spawn("camera", "front", config={"image": "/a"})
-    manager = world.manager.graph.get("/front").manager
+    manager = front.manager.graph.get("/front").manager
 
     def fail(operation: str, argument: str) -> None:
         if operation == "load":
-            world.host.recover()
-            world.host.load(manager, LoadRequest("/front", "pkg/Camera"), 1.0)
+            front.host.recover()
+            front.host.load(manager, LoadRequest("/front", "pkg/Camera"), 1.0)
 
-    world.host.fail = fail
+    front.host.fail = fail
     with pytest.raises(RestartFailed, match="a nodelet named '/front' is already loaded"):
-        world.manager.restart("front")
-    world.manager.look()
-    assert world.states() == {"/front": "RUNNING"}
+        front.manager.restart("front")
+    front.manager.look()
+    assert front.states() == {"/front": "RUNNING"}
 
 
-def test_a_late_load_of_a_new_specification_gives_way_to_the_former_one(world: World) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
-    world.host.sources = {**world.host.sources, "pkg/New": world.host.sources["pkg/Camera"]}
-    world.manager.add_transformation(CAMERA.replace("pkg/Camera", "pkg/New"))
+def test_a_late_load_of_a_new_specification_gives_way_to_the_former_one(front: World) -> None:
+    front.host.sources = {**front.host.sources, "pkg/New": front.host.sources["pkg/Camera"]}
+    new = CAMERA.replace("pkg/Camera", "pkg/New").replace('name="rate"', 'name="hz"')
+    front.manager.add_transformation(new)
 
     def fail(operation: str, argument: str) -> None:
         if operation == "loaded":  # it is up, and the answer is late
-            world.host.slow.add("/front")
+            front.host.slow.add("/front")
             raise HostTimeout("it was not up in time")
 
-    world.host.fail = fail
+    front.host.fail = fail
     with pytest.raises(RestartFailed, match="not up in time; it is tried again"):
-        world.manager.restart("front")
-    world.host.recover()
-    world.manager.look()
-    assert world.states() != {"/front": "RUNNING"}
-    world.host.slow.clear()
-    world.host.arrive()
-    look_later(world)
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").request.source == "pkg/Camera"
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
-    world.manager.look()
-    assert world.manager.graph.get("/front").status.outdated, "its specification is the former"
+        front.manager.restart("front")
+    front.host.recover()
+    front.manager.look()
+    assert front.states() != {"/front": "RUNNING"}
+    answer(front)
+    check_front(front)
+    assert front.host.nodelet("/front").request.source == "pkg/Camera"
+    assert front.host.parameters == {"/front/rate": 30.0}
+    front.manager.look()
+    assert front.manager.graph.get("/front").status.outdated, "its specification is the former"
+    front.manager.destroy("front")
+    assert front.host.parameters == {}
 
 
-@pytest.mark.parametrize("late", ["load", "unload"])
-def test_a_late_restart_leaves_no_parameters_of_the_other_specification(
-    world: World, late: str
-) -> None:
-    world.spawn("camera", "front", config={"image": "/a"})
-    renamed = CAMERA.replace('name="rate"', 'name="hz"')
-    world.manager.add_transformation(renamed)
-
-    def fail(operation: str, argument: str) -> None:
-        if (operation, late) == ("loaded", "load"):
-            world.host.slow.add("/front")
-            raise HostTimeout("it was not up in time")
-
-    world.host.fail = fail
-    if late == "unload":
-        world.host.slow.add("/front")
-    with pytest.raises((RestartFailed, HostTimeout)):
-        world.manager.restart("front")
-    world.host.recover()
-    world.host.slow.clear()
-    world.host.arrive()
-    look_later(world)
-    assert world.states() == {"/front": "RUNNING"}
-    kept = "/front/rate" if late == "load" else "/front/hz"
-    assert world.host.parameters == {kept: 30.0}
-    world.manager.destroy("front")
-    assert world.host.parameters == {}
+def test_a_late_unload_leaves_no_parameters_of_the_former_specification(front: World) -> None:
+    front.manager.add_transformation(CAMERA.replace('name="rate"', 'name="hz"'))
+    front.host.slow.add("/front")
+    with pytest.raises(HostTimeout):
+        front.manager.restart("front")
+    answer(front)
+    check_front(front)
+    assert front.host.parameters == {"/front/hz": 30.0}
+    front.manager.destroy("front")
+    assert front.host.parameters == {}
 
 
-def test_a_nodelet_that_may_still_run_keeps_its_parameters(world: World) -> None:
+def test_a_nodelet_that_may_still_run_keeps_its_parameters(front: World) -> None:
     """The manager is killed before it notes that undoing a load was late."""
-    world.spawn("camera", "front", config={"image": "/a"})
-    world.host.kill(world.manager.graph.get("/front").manager)
-    world.host.slow.add("/front")
-    put, killed = world.manager.graph.put, []
+    front.host.kill(front.manager.graph.get("/front").manager)
+    front.host.slow.add("/front")
+    put, killed = front.manager.graph.put, []
 
     def fail(operation: str, argument: str) -> None:
         if operation == "loaded":
@@ -386,15 +370,15 @@ def test_a_nodelet_that_may_still_run_keeps_its_parameters(world: World) -> None
             raise Killed
         put(*records, **kwds)
 
-    world.host.fail, world.manager.graph.put = fail, no_more  # type: ignore[method-assign]
+    front.host.fail, front.manager.graph.put = fail, no_more  # type: ignore[method-assign]
     with pytest.raises(Killed):
-        world.manager.look()
-    world.host.recover()
-    world.host.slow.clear()
-    world.kill_manager()
-    world.manager.look()
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.parameters == {"/front/rate": 30.0}
+        front.manager.look()
+    front.host.recover()
+    front.host.slow.clear()
+    front.kill_manager()
+    front.manager.look()
+    assert front.states() == {"/front": "RUNNING"}
+    assert front.host.parameters == {"/front/rate": 30.0}
 
 
 def test_a_spawn_that_never_returned_is_undone_when_its_process_answers(
@@ -420,7 +404,7 @@ def test_a_spawn_that_never_returned_is_undone_when_its_process_answers(
     )
     world.kill_manager()
     world.host.wake(manager)
-    look_later(world)
+    pass_time(world, 1.0, 1)
     assert (world.states(), world.host.running, world.host.parameters) == ({}, [], {})
 
 
@@ -577,13 +561,6 @@ def test_a_part_that_does_not_come_up_again_is_replaced(field: Field) -> None:
     field.tidy()
 
 
-def pass_time(world: World, seconds: float = 40.0) -> None:
-    assert isinstance(world.clock, HandClock)
-    for _ in range(5):
-        world.clock.time += seconds
-        world.manager.look()
-
-
 def test_no_repair_is_taken_for_a_spawn_that_never_returned(world: World) -> None:
     """Where the repair before it may have loaded the nodelet, and the manager is killed."""
     world.spawn("camera", "front", config={"image": "/a"}, is_protected=True)
@@ -598,8 +575,7 @@ def test_no_repair_is_taken_for_a_spawn_that_never_returned(world: World) -> Non
     world.host.recover()
     world.kill_manager()
     pass_time(world)
-    assert world.states() == {"/front": "RUNNING"}
-    assert world.host.nodelet("/front").ports["image"].topic == "/a"
+    check_front(world)
 
 
 def test_a_process_that_dies_of_the_unload_of_a_restart_is_no_end(world: World) -> None:

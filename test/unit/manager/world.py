@@ -75,6 +75,10 @@ TRACKER = """<transformation><label>tracker</label><source>pkg/Relay</source>
   <tags><tag port="in">Image(?camera)</tag></tags></transformation>"""
 
 
+class Killed(BaseException):
+    """Ends the manager as ``kill -9`` does."""
+
+
 class World:
     """Everything that outlives a manager, and the current manager."""
 
