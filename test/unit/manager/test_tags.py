@@ -10,32 +10,15 @@ from typing import Set
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from unit.manager.witness import Concepts
 
 from dyknow.errors import InvalidTag
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, Plan, meets
-from dyknow.manager.specifications.tags import (
-    Term,
-    parse_tag,
-    unify,
-)
+from dyknow.manager.specifications.tags import Term, parse_tag, unify
 from dyknow.model.transformation import OUT, Port, Transformation
 
-
-class Kinds:
-    """A small ontology: names and the names above them."""
-
-    ABOVE = {
-        "BallObject": {"WorldObject"},
-        "nao1": {"NAO", "Robot"},
-        "NAO": {"Robot"},
-    }
-
-    def names_above(self, name: str) -> frozenset[str]:
-        return frozenset({name} | self.ABOVE.get(name, set()))
-
-    def canonical(self, name: str) -> str:
-        return name
+KINDS = Concepts({"BallObject": "WorldObject", "nao1": "NAO", "NAO": "Robot"})
 
 
 @pytest.mark.parametrize(
@@ -86,7 +69,7 @@ def test_too_long_and_too_many_are_refused() -> None:
     ],
 )
 def test_supplied_satisfies_demanded(supplied: str, demanded: str, fits: bool) -> None:
-    found = unify(parse_tag(supplied), parse_tag(demanded), Kinds())
+    found = unify(parse_tag(supplied), parse_tag(demanded), KINDS)
     assert (found is not None) is fits
 
 
@@ -103,9 +86,8 @@ WANTED = st.builds(Term, NAMES, WANTED_ARGS, NO_TYPES)
     st.sampled_from(["", "t/A"]),
 )
 def test_the_library_finds_what_matching_says(offers, tags, datatype) -> None:  # type: ignore[no-untyped-def]
-    ontology = Kinds()
     demand = Demand(tags, datatype)
-    planner = Planner(ontology)
+    planner = Planner(KINDS)
     planner.add(
         [
             Transformation(
@@ -117,7 +99,7 @@ def test_the_library_finds_what_matching_says(offers, tags, datatype) -> None:  
     expected = {
         str(number)
         for number, (terms, kind) in enumerate(offers)
-        if meets(terms, kind, demand, ontology)
+        if meets(terms, kind, demand, KINDS)
     }
 
     def found() -> Set[str]:

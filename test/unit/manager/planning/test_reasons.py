@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 import re
-from typing import FrozenSet, Set
+from typing import Set
 
 import pytest
 from unit.manager.planning.brute_force import Problem, supplied, supplies
@@ -17,6 +17,7 @@ from unit.manager.planning.random_problems import (
     random_problem,
     with_limits,
 )
+from unit.manager.witness import Concepts
 
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.planner import Planner
@@ -90,20 +91,12 @@ def test_refusals_of_random_problems_state_no_falsehood(
     assert min(missing, excluded, typed, of_datatypes, slow) > 10
 
 
-class Cameras:
-    """A small ontology: a nose is a RobotCamera, and that is a Camera."""
-
-    def names_above(self, name: str) -> FrozenSet[str]:
-        above = {"nose": ["RobotCamera", "Camera"], "RobotCamera": ["Camera"]}
-        return frozenset((name, *above.get(name, ())))
-
-    def canonical(self, name: str) -> str:
-        return name
+CAMERAS = Concepts({"nose": "RobotCamera", "RobotCamera": "Camera"})
 
 
 def refused(tag: str, *transformations: Transformation, **kwds) -> str:  # type: ignore[no-untyped-def]
     limits = {each: kwds.pop(each) for each in ("datatype", "min_rate") if each in kwds}
-    answer = planner_with(transformations, Cameras()).plan(demand(tag, **limits), **kwds)
+    answer = planner_with(transformations, CAMERAS).plan(demand(tag, **limits), **kwds)
     assert isinstance(answer, NoPlan)
     assert all(str(each) in as_tree(answer) for each in answer.obstacles)
     return str(answer).partition(": ")[2]
