@@ -9,6 +9,7 @@ import threading
 from typing import List
 
 import pytest
+from clocks import in_thread, join
 from unit.manager.planning.examples import demand, make, planner_with
 
 from dyknow.manager.planning import planner
@@ -98,9 +99,7 @@ def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
         except BaseException as error:
             errors.append(error)
 
-    threads = [threading.Thread(target=plan) for _ in range(3)]
-    for each in threads:
-        each.start()
+    threads = [in_thread(plan) for _ in range(3)]
     changes = 0
     while changes < 200 or {2, 20} - {*costs}:
         changes += 1
@@ -108,7 +107,6 @@ def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
         if errors:
             break
     is_over.set()
-    for each in threads:
-        each.join()
+    join(*threads)
     assert not errors
     assert {*costs} == {2, 20}
