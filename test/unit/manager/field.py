@@ -24,6 +24,7 @@ from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.simulated.host import FakeHost
 
 IMAGE, POINT = "sensor_msgs/Image", "geometry_msgs/PointStamped"
+RELAY = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
 SOURCES = {
     "soccer/Camera": [("image", "out", IMAGE)],
     "soccer/Ceiling": [("image", "out", IMAGE)],
@@ -34,7 +35,7 @@ SOURCES = {
         ("ball", "out", POINT),
     ],
     "soccer/Localization": [("ball", "in", POINT), ("position", "out", POINT)],
-    "dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")],
+    **RELAY,
 }
 LIBRARY = """
 <transformations>
@@ -63,8 +64,8 @@ LIBRARY = """
 </transformations>
 """
 GOAL = "FieldPosition(ball)"
-
-
+Ports = Mapping[str, Tuple[str, Sequence[str]]]
+"""For each port its direction and its tags."""
 CHAIN = ["bottom camera", "detector", "localization", "subsampler"]
 LINGER = 5.0
 #: Reasons of events that come some time after each change of a stream.
@@ -81,14 +82,7 @@ def transformation(label: str, source: str, ports: str, tags: str, cost: int = 1
     return specification(label, source, named, cost)
 
 
-def specification(
-    label: str,
-    source: str,
-    ports: Mapping[str, Tuple[str, Sequence[str]]],
-    cost: int,
-    datatype: str = "",
-) -> str:
-    """Write a specification: for each port its direction and its tags."""
+def specification(label: str, source: str, ports: Ports, cost: int, datatype: str = "") -> str:
     carried = f' datatype="{datatype}"' if datatype else ""
     lines = [f'<transformation cost="{cost}"><label>{label}</label><source>{source}</source>']
     lines.append("<ports>")
@@ -97,6 +91,16 @@ def specification(
     for name, (_, tags) in ports.items():
         lines += [f'<tag port="{name}">{tag}</tag>' for tag in tags]
     return "".join([*lines, "</tags></transformation>"])
+
+
+def library(*transformations: str) -> str:
+    return f"<transformations>{''.join(transformations)}</transformations>"
+
+
+def topic(label: str, name: str, *tags: str, datatype: str = "") -> str:
+    """Write the specification of a topic of ordinary nodes."""
+    text = specification(label, name, {"out": ("out", tags)}, 1, datatype)
+    return text.replace("<transformation", '<transformation type="topic"')
 
 
 def counted_ids() -> Any:
@@ -176,6 +180,14 @@ class Field:
 
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
         return self.reconciler.acquire(StreamRequest(tag, **kwds))
+
+    def add(self, label: str, ports: Ports, cost: int = 1, params: str = "") -> str:
+        """Add a transformation and its program; all its ports carry images. Return its source."""
+        source = "lab/" + label.replace(" ", "_")
+        self.host.sources[source] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
+        text = specification(label, source, ports, cost, IMAGE)
+        self.manager.add_transformation(text.replace("<ports>", params + "<ports>"))
+        return source
 
     # Passing of time
 
@@ -264,3 +276,6 @@ class Field:
 
     def reasons(self) -> List[str]:
         return [event.reason for event in self.events]
+
+    def mended(self) -> List[str]:
+        return [each for each in self.reasons() if each.startswith("mended: ")]

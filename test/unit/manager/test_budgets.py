@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any, Counter, List, Set
 
 import pytest
-from unit.manager.field import LIBRARY, Field
+from unit.manager.field import LIBRARY, Field, library, specification
 
 from dyknow.errors import NoPlanFound
 from dyknow.locks import CheckedLock
@@ -27,18 +27,12 @@ INT = "std_msgs/Int32"
 
 def chain(length: int) -> str:
     """Write a library in which each transformation needs the stream of the one before."""
-    lines = ["<transformations>"]
+    texts = []
     for number in range(length):
-        ports, tags = "", ""
-        if number:
-            ports = f'<port type="in" datatype="{INT}">in</port>'
-            tags = f'<tag port="in">Step{number}(x)</tag>'
-        lines.append(
-            f"<transformation><label>step {number}</label><source>pkg/Step{number}</source>"
-            f'<ports>{ports}<port type="out" datatype="{INT}">out</port></ports>'
-            f'<tags>{tags}<tag port="out">Step{number + 1}(x)</tag></tags></transformation>'
-        )
-    return "".join([*lines, "</transformations>"])
+        ports = {"in": ("in", [f"Step{number}(x)"])} if number else {}
+        ports["out"] = ("out", [f"Step{number + 1}(x)"])
+        texts.append(specification(f"step {number}", f"pkg/Step{number}", ports, 1, INT))
+    return library(*texts)
 
 
 def client_with_chain(length: int) -> SimulatedManagerClient:

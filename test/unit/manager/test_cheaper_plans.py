@@ -15,9 +15,9 @@ from unit.manager.field import (
     IMAGE,
     LIBRARY,
     POINT,
+    RELAY,
     Field,
     counted_ids,
-    specification,
     transformation,
 )
 
@@ -125,7 +125,7 @@ def test_what_is_protected_is_not_saved(field: Field) -> None:
 def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
     choice = random.Random(seed)
     tags = [f"Tag{number}(x)" for number in range(6)]
-    field = Field(":memory:", {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}, "")
+    field = Field(":memory:", RELAY, "")
 
     def add(number: int) -> None:
         ports = {
@@ -133,10 +133,7 @@ def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
             for each in range(choice.choice([0, 0, 1, 2]))
         }
         ports["out"] = ("out", [choice.choice(tags)])
-        source, cost = f"test/T{number}", choice.randrange(6)
-        field.host.sources[source] = [(name, way, POINT) for name, (way, _) in ports.items()]
-        text = specification(f"part {number}", source, ports, cost, POINT)
-        field.manager.add_transformation(text)
+        field.add(f"part {number}", ports, choice.randrange(6))
 
     for number in range(6):
         add(number)
@@ -206,11 +203,8 @@ def test_what_runs_for_others_does_not_stand_in_for_what_is_preferred(field: Fie
 def test_a_stream_of_what_is_avoided_is_dearer_than_another(field: Field) -> None:
     field.manager.remove_transformation("ceiling camera")
     claim = field.acquire(avoid=("bottom camera",)).claim
-    field.manager.add_transformation(
-        "<transformation cost='9'><label>spare camera</label><source>soccer/Camera</source>"
-        "<ports><port type='out'>image</port></ports>"
-        "<tags><tag port='image'>YUV(field)</tag></tags></transformation>"
-    )
+    spare = transformation("spare camera", "soccer/Camera", "out image", "image YUV(field)", 9)
+    field.manager.add_transformation(spare)
     field.settle(5.0)
     assert any("a cheaper way has appeared" in each for each in field.reasons())
     field.reconciler.replan(claim.claim_id)

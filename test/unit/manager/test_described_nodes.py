@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Dict, Mapping
 
 import pytest
-from unit.manager.field import IMAGE, POINT, Field, transformation
+from unit.manager.field import IMAGE, POINT, Field, library, transformation
 
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
 from dyknow.manager.record import Record
@@ -30,20 +30,16 @@ PROGRAMS = {
     "robot/stereo": [("left", "in", IMAGE), ("right", "in", IMAGE), ("depth", "out", IMAGE)],
 }
 SMOOTH = transformation("smooth", "x", "in in,out out", "in Image(?camera);out Smooth(?camera)")
-STEREO = "".join(
-    [
-        "<transformations>",
-        SMOOTH.replace('cost="1"', 'type="node" node="/smooth"').replace("<source>x</source>", ""),
-        transformation("left", "soccer/Camera", "out image", "image Image(left)"),
-        transformation("right", "soccer/Ceiling", "out image", "image Image(right)"),
-        transformation(
-            "stereo",
-            "robot/stereo",
-            "in left,in right,out depth",
-            "left Smooth(left);right Smooth(right);depth Depth(field)",
-        ),
-        "</transformations>",
-    ]
+STEREO = library(
+    SMOOTH.replace('cost="1"', 'type="node" node="/smooth"').replace("<source>x</source>", ""),
+    transformation("left", "soccer/Camera", "out image", "image Image(left)"),
+    transformation("right", "soccer/Ceiling", "out image", "image Image(right)"),
+    transformation(
+        "stereo",
+        "robot/stereo",
+        "in left,in right,out depth",
+        "left Smooth(left);right Smooth(right);depth Depth(field)",
+    ),
 )
 
 

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Callable, List
+from typing import List
 
 import pytest
-from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, POINT, Field, transformation
+from unit.manager.field import CHAIN, GOAL, IMAGE, LIBRARY, POINT, Field, topic, transformation
 
 from dyknow.errors import HostError, NoPlanFound, SpawnFailed, StreamTypeMismatch
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -78,18 +78,6 @@ def test_nobody_waits_where_nothing_flows_anyway(field: Field) -> None:
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
-def break_at(field: Field, operation: str, part: str) -> Callable[[], None]:
-    def fail(what: str, argument: str) -> None:
-        if what == operation and part in argument:
-            raise HostError("it is broken")
-
-    def mend() -> None:
-        field.host.recover()
-
-    field.host.fail = fail
-    return mend
-
-
 @pytest.mark.parametrize(
     ("operation", "part"),
     [
@@ -104,16 +92,15 @@ def test_a_mend_that_fails_leaves_the_stream_as_it_was(
 ) -> None:
     claim = field.acquire().claim
     field.settle()
-    before = {name: field.host.nodelet(name).ports for name in field.host.running}
-    before = {name: dict(ports) for name, ports in before.items()}
-    mend = break_at(field, operation, part)
+    before = {name: dict(field.host.nodelet(name).ports) for name in field.host.running}
+    field.host.fail_at(operation, part)
     field.manager.remove_transformation("bottom camera")
     field.settle(5.0)
     assert field.state(claim.claim_id) is ClaimState.FAILED
     assert "it is broken" in field.claim(claim.claim_id).detail
     assert {name: field.host.nodelet(name).ports for name in field.host.running} == before
     assert claim.topic in field.moving, "it flows on as it was"
-    mend()
+    field.host.recover()
     field.tidy()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert "bottom camera" not in field.labels()
@@ -129,12 +116,12 @@ def test_a_mend_that_fails_leaves_the_stream_as_it_was(
     ],
 )
 def test_a_request_that_fails_leaves_nothing(field: Field, operation: str, part: str) -> None:
-    mend = break_at(field, operation, part)
+    field.host.fail_at(operation, part)
     with pytest.raises((SpawnFailed, HostError), match="it is broken"):
         field.acquire()
     assert (field.host.running, field.reconciler.claims()) == ([], [])
     assert field.host.parameters == {}
-    mend()
+    field.host.recover()
     field.acquire()
     field.settle()
 
@@ -198,11 +185,8 @@ def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     claim = field.acquire().claim
     other = field.acquire("FieldPosition(?what)").claim
     field.settle()
-    field.manager.add_transformation(
-        '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
-        f'<ports><port type="out" datatype="{POINT}">position</port></ports>'
-        '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
-    )
+    referee = topic("referee", "/referee/ball", GOAL, datatype=POINT)
+    field.manager.add_transformation(referee)
     field.host.topics.add("/referee/ball")
     field.manager.remove_transformation("localization")
     field.tidy()

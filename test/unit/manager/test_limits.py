@@ -13,7 +13,17 @@ from unittest import mock
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, transformation
+from unit.manager.field import (
+    CHAIN,
+    FIRST_MESSAGE,
+    IMAGE,
+    POINT,
+    Field,
+    library,
+    specification,
+    topic,
+    transformation,
+)
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claims.requirements import topic_of_verdicts
@@ -44,9 +54,6 @@ class LimitField(Field):
                 self.manager.look()
                 self.reconciler.reconcile()
         self.check()
-
-    def mended(self) -> List[str]:
-        return [each for each in self.reasons() if each.startswith("mended")]
 
     def parts(self) -> Dict[str, str]:
         return {record.label: record.name for record in self.manager.graph.all()}
@@ -171,10 +178,7 @@ def test_a_transformation_that_never_is_good_enough_gives_way(
 
 
 def test_an_ordinary_topic_can_be_at_fault(field: LimitField, limit: Limit) -> None:
-    text = transformation("scan", "/scan", "out scan", "scan Scan(here)")
-    field.manager.add_transformation(
-        text.replace("<transformation", '<transformation type="topic"')
-    )
+    field.manager.add_transformation(topic("scan", "/scan", "Scan(here)"))
     field.host.topics.add("/scan")
     claim = field.acquire("Scan(here)", **limit.request).claim
     field.pass_time(10.0)
@@ -290,12 +294,13 @@ def two_cameras(field: LimitField) -> LimitField:
     return field
 
 
-def state_rates(field: LimitField) -> None:
-    for label, rate in (("fast", 20.0), ("slow", 5.0)):
-        known = field.manager.library.get(label)
-        field.manager.add_transformation(
-            known._replace(ports=(known.ports[0]._replace(rate=rate),)).to_xml()
-        )
+def state(field: LimitField, label: str, **stated: Any) -> None:
+    """Let the out-ports of a transformation state something."""
+    known = field.manager.library.get(label)
+    ports = tuple(
+        port._replace(**stated) if port.direction == "out" else port for port in known.ports
+    )
+    field.manager.add_transformation(known._replace(ports=ports).to_xml())
 
 
 @pytest.mark.parametrize("is_stated", [False, True])
@@ -305,7 +310,8 @@ def test_two_claims_do_not_take_a_part_from_each_other(
     """One camera is too slow for the first claim, and the other gets too old for the second."""
     field = two_cameras
     if is_stated:
-        state_rates(field)
+        state(field, "fast", rate=20.0)
+        state(field, "slow", rate=5.0)
     first = field.acquire(SEEN, min_rate=15.0).claim
     second = field.acquire("View(field)", max_age=0.2).claim
     assert set(first.nodelets) < set(second.nodelets)
@@ -420,9 +426,7 @@ def test_a_lost_nodelet_that_was_too_slow_leaves_other_streams_to_be_repaired(
 
 
 def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: LimitField) -> None:
-    known = field.manager.library.get("bottom camera")
-    slow = known.ports[0]._replace(rate=5.0)
-    field.manager.add_transformation(known._replace(ports=(slow,)).to_xml())
+    state(field, "bottom camera", rate=5.0)
     field.acquire(min_rate=10.0)
     assert "ceiling camera" in field.labels()
     field.manager.remove_transformation("ceiling camera")
@@ -437,13 +441,7 @@ def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: Limit
 
 def test_a_delay_that_is_stated_is_not_blamed(field: LimitField) -> None:
     """The detector states that it takes long; the camera does not."""
-    for label, latency in (("detector", 0.3), ("bottom camera", 0.0)):
-        known = field.manager.library.get(label)
-        ports = tuple(
-            port._replace(latency=latency if port.direction == "out" else 0.0)
-            for port in known.ports
-        )
-        field.manager.add_transformation(known._replace(ports=ports).to_xml())
+    state(field, "detector", latency=0.3)
     field.acquire(max_age=0.4)
     field.pass_time(10.0)
     field.delays.update({field.parts()["detector"]: 0.3, "/bottom_camera_1": 0.2})
@@ -508,9 +506,7 @@ def test_types_without_a_header_are_refused(
     field: LimitField, dry_run: bool, datatype: str
 ) -> None:
     field.host.unstamped.add(IMAGE)
-    known = field.manager.library.get("bottom camera")
-    port = known.ports[0]._replace(datatype=IMAGE)
-    field.manager.add_transformation(known._replace(ports=(port,)).to_xml())
+    state(field, "bottom camera", datatype=IMAGE)
     field.manager.remove_transformation("ceiling camera")
     expected = f"carries {IMAGE}, but a type that begins with a header .* was requested"
     with pytest.raises(StreamTypeMismatch, match=expected):
@@ -529,14 +525,13 @@ def test_a_type_that_the_spawn_shows_is_checked_too(field: LimitField) -> None:
     assert (claim.nodelets, claim.datatype) == (("/ceiling_camera_1",), POINT)
 
 
-def stating(label: str, *ports: Tuple[str, str], cost: int = 1) -> str:
+def stating(label: str, *ports: Tuple[str, str]) -> str:
     """Write a specification whose out-ports, which state their types, have one tag."""
-    lines = [f'<port type="out" datatype="{datatype}">{name}</port>' for name, datatype in ports]
-    tags = [f'<tag port="{name}">Pose({label})</tag>' for name, _ in ports]
-    return (
-        f'<transformation cost="{cost}"><label>{label}</label><source>soccer/Pose</source>'
-        f"<ports>{''.join(lines)}</ports><tags>{''.join(tags)}</tags></transformation>"
-    )
+    named = {name: ("out", [f"Pose({label})"]) for name, _ in ports}
+    text = specification(label, "soccer/Pose", named, 1)
+    for name, datatype in ports:
+        text = text.replace(f">{name}<", f' datatype="{datatype}">{name}<', 1)
+    return text
 
 
 def test_a_stamped_port_is_found_beside_one_without_a_stamp(field: LimitField) -> None:
@@ -563,7 +558,7 @@ def test_a_stream_without_a_stamp_may_feed_the_part_that_stamps_it(field: LimitF
 def test_very_many_streams_without_a_stamp_are_refused_at_once(field: LimitField) -> None:
     field.host.unstamped.add("geometry_msgs/Pose")
     found = [stating(f"robot{n}", ("pose", "geometry_msgs/Pose")) for n in range(50)]
-    field.manager.add_transformation(f"<transformations>{''.join(found)}</transformations>")
+    field.manager.add_transformation(library(*found))
     plan = mock.patch.object(Planner, "plan", autospec=True, side_effect=Planner.plan)
     with plan as counted, pytest.raises(StreamTypeMismatch, match="begins with a header"):
         field.acquire("Pose(?robot)", max_age=AGE)

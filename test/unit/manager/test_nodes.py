@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from clocks import HandClock
+from unit.manager.field import library
 from unit.manager.world import World
 
 from dyknow.errors import Denied, HostError, NameTaken, SpawnFailed
@@ -28,18 +29,14 @@ def described(label: str, source: str, ports: str = "", kind: str = 'type="node"
     return f"<transformation {kind}>{parts}</transformation>"
 
 
-NODES = "<transformations>{}</transformations>".format(
-    "".join(
-        [
-            described("copier", COPIER, RATE + BOTH),
-            described("script", SCRIPT, BOTH),
-            described("lone script", SCRIPT, BOTH, 'type="node" isolated="true"'),
-            described("lone camera", "pkg/Camera", kind='isolated="true"'),
-            described("absent", "pkg/absent"),
-            described("ending", "pkg/ending"),
-            described("misnamed", COPIER, OTHER),
-        ]
-    )
+NODES = library(
+    described("copier", COPIER, RATE + BOTH),
+    described("script", SCRIPT, BOTH),
+    described("lone script", SCRIPT, BOTH, 'type="node" isolated="true"'),
+    described("lone camera", "pkg/Camera", kind='isolated="true"'),
+    described("absent", "pkg/absent"),
+    described("ending", "pkg/ending"),
+    described("misnamed", COPIER, OTHER),
 )
 
 

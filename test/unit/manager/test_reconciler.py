@@ -11,7 +11,17 @@ from typing import Callable, Dict, Optional
 from unittest import mock
 
 import pytest
-from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, LIBRARY, POINT, Field, transformation
+from unit.manager.field import (
+    CHAIN,
+    FIRST_MESSAGE,
+    GOAL,
+    LIBRARY,
+    POINT,
+    Field,
+    library,
+    topic,
+    transformation,
+)
 
 from dyknow.backoff import SHARE
 from dyknow.errors import (
@@ -58,10 +68,7 @@ def test_the_same_request_is_the_same_claim(field: Field) -> None:
 
 
 def test_a_relative_topic_begins_in_the_manager_s_namespace(field: Field) -> None:
-    text = transformation("weather", "weather", "out out", "out Weather")
-    field.manager.add_transformation(
-        text.replace("<transformation", '<transformation type="topic"')
-    )
+    field.manager.add_transformation(topic("weather", "weather", "Weather"))
     field.host.topics.add("/weather")
     claim = field.acquire("Weather").claim
     assert (claim.topic, claim.sources) == ("/weather", ("/weather",))
@@ -112,7 +119,7 @@ def test_a_fault_is_repaired_behind_the_same_topic(field: Field, fault: str) -> 
     FAULTS[fault](field)
     field.settle()
     field.check_flows(claim)
-    assert [each for each in field.reasons() if each.startswith("mended: ")]
+    assert field.mended()
     if "manager" not in fault:
         assert len(set(claim.nodelets) - set(field.claim(claim.claim_id).nodelets)) <= 1
     for manager in list(field.host.processes):
@@ -122,16 +129,12 @@ def test_a_fault_is_repaired_behind_the_same_topic(field: Field, fault: str) -> 
     assert field.labels() == [camera, *CHAIN[1:]]
 
 
-PAIR = "<transformations>{}</transformations>".format(
-    "".join(
-        [
-            transformation("left", "soccer/Camera", "out image", "image Raw(left)"),
-            transformation("right", "soccer/Camera", "out image", "image Raw(right)"),
-            transformation(
-                "worker", "soccer/Subsampler", "in yuv,out planes", "yuv Raw(?x);planes Clean(?x)"
-            ),
-        ]
-    )
+PAIR = library(
+    transformation("left", "soccer/Camera", "out image", "image Raw(left)"),
+    transformation("right", "soccer/Camera", "out image", "image Raw(right)"),
+    transformation(
+        "worker", "soccer/Subsampler", "in yuv,out planes", "yuv Raw(?x);planes Clean(?x)"
+    ),
 )
 
 

@@ -13,25 +13,21 @@ from hypothesis import strategies as st
 from hypothesis.stateful import invariant, precondition, rule
 from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
-from unit.manager.field import Field, transformation
+from unit.manager.field import Field, library, transformation
 from unit.manager.test_requirements import requiring
 
 from dyknow.errors import DyKnowError, NoPlanFound
 from dyknow.model.streams import ClaimState
 
-OTHERS = "".join(
-    [
-        "<transformations>",
-        transformation(
-            "other localization",
-            "soccer/Localization",
-            "in ball, out position",
-            "ball RelativePosition(?what); position FieldPosition(ball)",
-            cost=3,
-        ),
-        transformation("stereo", "soccer/Camera", "out image", "image RelativePosition(goal)"),
-        "</transformations>",
-    ]
+OTHERS = library(
+    transformation(
+        "other localization",
+        "soccer/Localization",
+        "in ball, out position",
+        "ball RelativePosition(?what); position FieldPosition(ball)",
+        cost=3,
+    ),
+    transformation("stereo", "soccer/Camera", "out image", "image RelativePosition(goal)"),
 )
 GUARDED = requiring("bottom camera", CHARGED)
 TAGS = st.sampled_from(

@@ -8,16 +8,11 @@ from __future__ import annotations
 from typing import List
 
 import pytest
-from unit.manager.field import CHAIN, FIRST_MESSAGE, POINT, Field, transformation
+from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, POINT, Field, Ports, topic
 
 from dyknow.errors import HostTimeout
 from dyknow.model.streams import NO_MESSAGE, ClaimState
 
-REFEREE = (
-    '<transformation type="topic"><label>referee</label><source>/referee/ball</source>'
-    f'<ports><port type="out" datatype="{POINT}">position</port></ports>'
-    '<tags><tag port="position">FieldPosition(ball)</tag></tags></transformation>'
-)
 UNKNOWN = "not known whether messages come: the publisher of {} cannot be queried"
 
 
@@ -105,7 +100,7 @@ def test_a_part_that_waits_for_one_that_hangs_is_not_blamed(field: Field) -> Non
     field.host.hang(field.manager.graph.get("/mine").manager)
     field.settle(10.0)
     assert others <= set(field.living()[0].nodelets), "they were re-wired"
-    assert [reason for reason in field.reasons() if reason.startswith("mended")] == [
+    assert field.mended() == [
         "mended: nodelet /mine does not answer; /bottom_camera_1 is used now"
     ]
     assert claim.topic in field.moving
@@ -201,7 +196,8 @@ def test_messages_before_the_request_do_not_count_but_a_latched_one_does(field: 
 
 
 def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field: Field) -> None:
-    field.manager.add_transformation(REFEREE)
+    referee = topic("referee", "/referee/ball", GOAL, datatype=POINT)
+    field.manager.add_transformation(referee)
     field.host.topics.add("/referee/ball")
     claim = field.acquire().claim
     field.host.cpp.add("soccer/Camera")
@@ -219,24 +215,10 @@ def test_a_publisher_that_cannot_be_polled_is_listened_to_only_for_a_limit(field
 
 
 def test_a_latched_input_may_be_silent_while_the_stream_flows(field: Field) -> None:
-    field.host.sources.update(
-        {
-            "lab/Map": [("map", "out", POINT)],
-            "lab/Scan": [("scan", "out", POINT)],
-            "lab/Place": [("map", "in", POINT), ("scan", "in", POINT), ("pose", "out", POINT)],
-        }
-    )
-    for label, ports, tags in (
-        ("map", "out map", "map Map(floor)"),
-        ("scan", "out scan", "scan Scan(floor)"),
-        (
-            "place",
-            "in map, in scan, out pose",
-            "map Map(floor); scan Scan(floor); pose Pose(robot)",
-        ),
-    ):
-        source = f"lab/{label.title()}"
-        field.manager.add_transformation(transformation(label, source, ports, tags))
+    field.add("map", {"map": ("out", ["Map(floor)"])})
+    field.add("scan", {"scan": ("out", ["Scan(floor)"])})
+    inputs: Ports = {"map": ("in", ["Map(floor)"]), "scan": ("in", ["Scan(floor)"])}
+    field.add("place", {**inputs, "pose": ("out", ["Pose(robot)"])})
     field.spawn("map", "/map_1", config={"map": "/map_1/map"})
     field.host.nodelet("/map_1").latched.add("map")
     field.tick()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import List, Tuple
 
 import pytest
+from unit.manager.field import library, specification
 
 from dyknow.errors import HostError
 from dyknow.manager.observer import PERIOD
@@ -16,14 +17,11 @@ from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import PAUSE
 from dyknow.simulated import SimulatedClock, SimulatedManagerClient
 
-LIBRARY = """<transformations>
-  <transformation><label>camera</label><source>pkg/Camera</source>
-    <ports><port type="out" datatype="test/Image">image</port></ports>
-    <tags><tag port="image">Image(left)</tag></tags></transformation>
-  <transformation cost="3"><label>spare</label><source>pkg/Spare</source>
-    <ports><port type="out" datatype="test/Image">image</port></ports>
-    <tags><tag port="image">Image(left)</tag></tags></transformation>
-</transformations>"""
+PORTS = {"image": ("out", ["Image(left)"])}
+LIBRARY = library(
+    specification("camera", "pkg/Camera", PORTS, 1, "test/Image"),
+    specification("spare", "pkg/Spare", PORTS, 3, "test/Image"),
+)
 
 
 class Life:

@@ -6,41 +6,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Tuple
 
 import pytest
-from unit.manager.field import CHAIN, IMAGE, Field, specification
+from unit.manager.field import CHAIN, IMAGE, RELAY, Field, specification, topic
 
 from dyknow.errors import NoPlanFound, SpawnFailed
 from dyknow.manager.claim import ClaimEvent
 from dyknow.model.streams import ClaimState
 
 
-def described(label: str, topic: str, tag: str, datatype: str) -> str:
-    return (
-        f'<transformation type="topic"><label>{label}</label><source>{topic}</source>'
-        f'<ports><port type="out" datatype="{datatype}">out</port></ports>'
-        f'<tags><tag port="out">{tag}</tag></tags></transformation>'
-    )
-
-
 @pytest.fixture
 def lab(tmp_path: Path) -> Field:
     """Two cameras and a converter that wants one of them."""
-    parts: Dict[str, Tuple[int, Dict[str, Tuple[str, Sequence[str]]]]] = {
-        "ceiling": (1, {"image": ("out", ["RawYUV(ceiling)"])}),
-        "bottom": (5, {"image": ("out", ["RawYUV(bottom)"])}),
-        "convert": (1, {"raw": ("in", ["RawYUV(ceiling)"]), "bgr": ("out", ["BGR(ceiling)"])}),
-    }
-    sources: Dict[str, List[Tuple[str, str, str]]] = {
-        "dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]
-    }
-    text = []
-    for label, (cost, ports) in parts.items():
-        sources[f"lab/{label}"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
-        text.append(specification(label, f"lab/{label}", ports, cost, IMAGE))
-    library = "<transformations>" + "".join(text) + "</transformations>"
-    return Field(str(tmp_path / "state.db"), sources, library)
+    lab = Field(str(tmp_path / "state.db"), RELAY, "")
+    lab.add("ceiling", {"image": ("out", ["RawYUV(ceiling)"])})
+    lab.add("bottom", {"image": ("out", ["RawYUV(bottom)"])}, 5)
+    lab.add("convert", {"raw": ("in", ["RawYUV(ceiling)"]), "bgr": ("out", ["BGR(ceiling)"])})
+    return lab
 
 
 def connected(field: Field, name: str) -> Dict[str, str]:
@@ -126,9 +109,8 @@ def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field)
         lab.manager.add_transformation(specification(label, "lab/ceiling", other, 1, IMAGE))
     claim = lab.acquire("RawYUV(bottom)", exclude=("bottom",)).claim
     lab.spawn("mine", "/mine", config={"image": "/image"})
-    tags = '<tag port="out">RawYUV(front)</tag><tag port="out">'
-    text = described("front", "/image", "RawYUV(bottom)", IMAGE)
-    lab.manager.add_transformation(text.replace('<tag port="out">', tags))
+    front = topic("front", "/image", "RawYUV(front)", "RawYUV(bottom)", datatype=IMAGE)
+    lab.manager.add_transformation(front)
     lab.host.topics.add("/image")
     for label in ("other", "mine"):
         lab.manager.remove_transformation(label)
@@ -140,7 +122,8 @@ def test_a_relay_asks_for_what_all_senders_on_a_topic_have_in_common(lab: Field)
 
 def test_what_is_excluded_has_no_part_in_a_described_topic_either(lab: Field) -> None:
     lab.spawn("bottom", "/mine", config={"image": "/image"})
-    lab.manager.add_transformation(described("seen", "/image", "RawYUV(bottom)", IMAGE))
+    seen = topic("seen", "/image", "RawYUV(bottom)", datatype=IMAGE)
+    lab.manager.add_transformation(seen)
     lab.host.topics.add("/image")
     assert lab.acquire("RawYUV(bottom)").claim.state is ClaimState.ACTIVE
     with pytest.raises(NoPlanFound):
@@ -151,15 +134,9 @@ def test_what_is_excluded_has_no_part_in_a_described_topic_either(lab: Field) ->
 # Plain nodelets, which come up again when they are connected elsewhere
 
 
-def add_plain(lab: Field, ports: Dict[str, Tuple[str, Sequence[str]]]) -> None:
-    lab.host.sources["lab/plain"] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
-    lab.host.cpp.add("lab/plain")
-    lab.host.stock = True
-    lab.manager.add_transformation(specification("plain", "lab/plain", ports, 1, IMAGE))
-
-
 def test_claims_are_made_of_nodelets_with_live_ports(lab: Field) -> None:
-    add_plain(lab, {"one": ("out", ["Sum(all)"])})
+    lab.host.cpp.add(lab.add("plain", {"one": ("out", ["Sum(all)"])}))
+    lab.host.stock = True
     with pytest.raises(SpawnFailed, match="the topics of '/plain_1' are fixed"):
         lab.acquire("Sum(all)")
     assert lab.host.running == []

@@ -24,7 +24,7 @@ from hypothesis.stateful import (
 )
 from property_tests import examples
 from unit.manager.faulty_lives import NUMBERS, FaultyLife
-from unit.manager.field import Field, specification
+from unit.manager.field import RELAY, Field, specification, topic
 from unit.manager.witness import Concepts, Witness, variables_in
 
 from dyknow.errors import DyKnowError, HostError
@@ -81,10 +81,9 @@ class Truth(FaultyLife):
         self.add("part f", ["Image(?c)", "Frame(?c)"], [["Ball(?c)"]])
 
     def make_field(self, path: str) -> Field:
-        relay = {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}
-        field = Field(path, relay, "", CONCEPTS)
-        field.host.topics.clear()
-        return field
+        made = Field(path, RELAY, "", CONCEPTS)
+        made.host.topics.clear()
+        return made
 
     def after_kill(self) -> None:
         self.witness.excuse()
@@ -156,15 +155,11 @@ class Truth(FaultyLife):
         self.witness.described.pop(label, None)
         self.witness.excuse()
 
-    @rule(label=LABELS, topic=ORDINARY, tags=SUPPLIED)
-    def describe_topic(self, label: str, topic: str, tags: List[str]) -> None:
-        lines = "".join(f'<tag port="out">{tag}</tag>' for tag in tags)
-        self.field.manager.add_transformation(
-            f'<transformation type="topic"><label>{label}</label><source>{topic}</source>'
-            f'<ports><port type="out" datatype="{TYPE}">out</port></ports>'
-            f"<tags>{lines}</tags></transformation>"
-        )
-        self.witness.described[label] = (topic, tuple(tags))
+    @rule(label=LABELS, name=ORDINARY, tags=SUPPLIED)
+    def describe_topic(self, label: str, name: str, tags: List[str]) -> None:
+        text = topic(label, name, *tags, datatype=TYPE)
+        self.field.manager.add_transformation(text)
+        self.witness.described[label] = (name, tuple(tags))
         self.witness.excuse()
 
     @precondition(lambda self: self.beginnings())
