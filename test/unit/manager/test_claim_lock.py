@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from typing import Any, Callable, Dict, List, Optional
+from concurrent.futures import Future
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
 import pytest
-from unit.manager.field import GOAL, LINGER, Field, transformation
+from clocks import PATIENCE, in_thread, join, wait_for
+from unit.manager.field import GOAL, LIBRARY, LINGER, Field, topic, transformation
 
 from dyknow.errors import DyKnowError, HostError, NoPlanFound
 from dyknow.manager.claims.assembly import Acquired
@@ -22,10 +25,18 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 
 BALL = "RelativePosition(ball)"
+CHEAP = transformation(
+    "cheap localization",
+    "soccer/Localization",
+    "in ball, out position",
+    f"ball {BALL}; position {GOAL}",
+    cost=0,
+)
 
 
-def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> List[str]:
-    """Run something once while a nodelet is loaded; returns the results so far."""
+@contextlib.contextmanager
+def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> Iterator[None]:
+    """Run something once while a nodelet is loaded, which has to come."""
     done: List[str] = []
 
     def fail(operation: str, argument: str) -> None:
@@ -34,7 +45,8 @@ def meanwhile(field: Field, name: str, happens: Callable[[], None]) -> List[str]
             happens()
 
     field.host.fail = fail
-    return done
+    yield
+    assert done
 
 
 def test_a_stream_is_mended_while_another_one_is_being_made(field: Field) -> None:
@@ -47,9 +59,8 @@ def test_a_stream_is_mended_while_another_one_is_being_made(field: Field) -> Non
         assert field.claim(first.claim_id).goal != first.goal
         assert field.host.publishers(first.topic) == [field.claim(first.claim_id).goal[0]]
 
-    done = meanwhile(field, "/localization_1", lose_a_part)
-    second = field.acquire(GOAL).claim
-    assert done
+    with meanwhile(field, "/localization_1", lose_a_part):
+        second = field.acquire(GOAL).claim
     field.settle()
     assert {first.topic, second.topic} <= field.moving
     assert field.labels() == ["bottom camera", "detector", "localization", "subsampler"]
@@ -69,9 +80,8 @@ def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) ->
         for _ in range(int(4 * LINGER)):
             field.tick(1.0)
 
-    done = meanwhile(field, "/localization_1", time_passes)
-    acquired = field.acquire(GOAL)
-    assert done
+    with meanwhile(field, "/localization_1", time_passes):
+        acquired = field.acquire(GOAL)
     assert len(acquired.spawned) == (3 if is_idle else 4)
     assert ("/bottom_camera_1" in acquired.reused) is is_idle
     field.settle()
@@ -80,15 +90,7 @@ def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) ->
 
 def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
     claim = field.acquire(GOAL).claim
-    field.manager.add_transformation(
-        transformation(
-            "cheap localization",
-            "soccer/Localization",
-            "in ball, out position",
-            f"ball {BALL}; position {GOAL}",
-            cost=0,
-        )
-    )
+    field.manager.add_transformation(CHEAP)
     reasons: List[str] = []
 
     def lose_a_part() -> None:
@@ -97,9 +99,8 @@ def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
         field.tick()
         reasons.extend(event.reason for event in field.events[before:])
 
-    done = meanwhile(field, "/cheap_localization_1", lose_a_part)
-    field.reconciler.replan(claim.claim_id)
-    assert done
+    with meanwhile(field, "/cheap_localization_1", lose_a_part):
+        field.reconciler.replan(claim.claim_id)
     assert not [reason for reason in reasons if "gone" in reason]
     field.settle()
     assert field.claim(claim.claim_id).goal[0] == "/cheap_localization_1"
@@ -108,12 +109,9 @@ def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
 
 def test_a_replanned_stream_keeps_its_publisher_while_its_monitor_is_made(field: Field) -> None:
     claim = field.acquire(GOAL, require="it.point.x < 3").claim
-    tags = f"ball {BALL}; position {GOAL}"
-    ports = ("soccer/Localization", "in ball, out position")
-    field.manager.add_transformation(transformation("cheap localization", *ports, tags, cost=0))
-    done = meanwhile(field, "/monitor_of_localization_1_position_2", field.tick)
-    goal = field.reconciler.replan(claim.claim_id).claim.goal
-    assert done
+    field.manager.add_transformation(CHEAP)
+    with meanwhile(field, "/monitor_of_localization_1_position_2", field.tick):
+        goal = field.reconciler.replan(claim.claim_id).claim.goal
     assert field.host.publishers(claim.topic) == [goal[0]]
     field.settle()
     assert not [each for each in field.reasons() if each.startswith("mended")]
@@ -141,17 +139,16 @@ def test_a_request_that_is_repeated_while_it_is_worked_on_gets_the_same_answer(
 ) -> None:
     request = StreamRequest(GOAL, client_id="/client", request_id="1")
     again: List[Acquired] = []
-    thread = threading.Thread(target=lambda: again.append(field.reconciler.acquire(request)))
+    threads: List[threading.Thread] = []
 
     def repeat() -> None:
-        thread.start()
+        threads.append(in_thread(lambda: again.append(field.reconciler.acquire(request))))
         field.tick()
-        assert thread.is_alive()
+        assert threads[0].is_alive()
 
-    done = meanwhile(field, "/localization_1", repeat)
-    first = field.reconciler.acquire(request)
-    thread.join(10.0)
-    assert done
+    with meanwhile(field, "/localization_1", repeat):
+        first = field.reconciler.acquire(request)
+    join(*threads)
     assert again[0].claim.claim_id == first.claim.claim_id
     assert len(field.living()) == 1
 
@@ -170,9 +167,8 @@ def test_a_lost_part_that_is_being_made_for_another_stream_gets_a_name_of_its_ow
     field.manager.add_transformation(
         transformation("second view", "soccer/Ceiling", "out image", "image Planes(field)")
     )
-    done = meanwhile(field, "/second_view_1", lose_it)
-    field.acquire("Planes(field)", exclude=("subsampler",))
-    assert done
+    with meanwhile(field, "/second_view_1", lose_it):
+        field.acquire("Planes(field)", exclude=("subsampler",))
     field.tidy()
 
 
@@ -187,10 +183,10 @@ def test_a_request_that_fails_leaves_what_a_mended_stream_uses_by_now(field: Fie
         assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
         raise HostError("the localization does not start")
 
-    done = meanwhile(field, "/localization_1", lose_the_camera)
-    with pytest.raises(DyKnowError, match="does not start"):
+    with meanwhile(field, "/localization_1", lose_the_camera), pytest.raises(
+        DyKnowError, match="does not start"
+    ):
         field.acquire(GOAL, exclude=("bottom camera",))
-    assert done
     field.settle()
     assert planes.topic in field.moving
     assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
@@ -224,10 +220,6 @@ def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
 # While a client's request is planned, streams are repaired; its plan is checked before use
 
 
-#: Seconds after which a thread that does not end is a defect.
-PATIENCE = 60.0
-
-
 class Slow:
     """A planner that, on one thread, waits before it answers."""
 
@@ -236,7 +228,7 @@ class Slow:
         self.may_answer = threading.Event()
         self.calls = 0
         self._thread: Optional[threading.Thread] = None
-        self._results: List[Any] = []
+        self._answer: Future[Any] = Future()
         plan = getattr(Planner, method)
 
         def slowly(*args: Any, **kwds: Any) -> Any:
@@ -244,28 +236,25 @@ class Slow:
             if threading.current_thread() is self._thread:
                 self.calls += 1
                 self.is_planning.set()
-                assert self.may_answer.wait(PATIENCE)
+                wait_for(self.may_answer)
             return answer
 
         monkeypatch.setattr(Planner, method, slowly)
 
     def start(self, request: Callable[[], Any]) -> None:
         def work() -> None:
+            self._thread = threading.current_thread()
             try:
-                self._results.append(request())
+                self._answer.set_result(request())
             except Exception as error:
-                self._results.append(error)
+                self._answer.set_exception(error)
 
-        self._thread = threading.Thread(target=work)
-        self._thread.start()
-        assert self.is_planning.wait(PATIENCE)
+        in_thread(work)
+        wait_for(self.is_planning)
 
     def result(self) -> Any:
         self.may_answer.set()
-        assert self._thread is not None
-        self._thread.join(PATIENCE)
-        (result,) = self._results
-        return result
+        return self._answer.result(PATIENCE)
 
 
 ASKS: Dict[str, Callable[[Field, str], Any]] = {
@@ -289,7 +278,7 @@ def test_a_stream_is_repaired_while_a_client_waits_for_a_plan(
     field.tick()
     assert field.state(lost.claim_id) is ClaimState.ACTIVE
     assert field.claim(lost.claim_id).goal[0] in field.host.running
-    assert not isinstance(slow.result(), Exception)
+    slow.result()
     field.settle()
 
 
@@ -313,14 +302,7 @@ def test_a_refusal_is_checked_too(field: Field, monkeypatch: pytest.MonkeyPatch)
     field.manager.remove_transformation("localization")
     slow = Slow(monkeypatch, "plan")
     slow.start(field.acquire)
-    field.manager.add_transformation(
-        transformation(
-            "localization",
-            "soccer/Localization",
-            "in ball, out position",
-            f"ball RelativePosition(ball); position {GOAL}",
-        )
-    )
+    field.manager.add_transformation(LIBRARY)
     assert slow.result().claim.state is ClaimState.ACTIVE
 
 
@@ -339,7 +321,6 @@ def test_a_plan_without_a_transformation_keeps_the_claims_own_limits(field: Fiel
 def test_a_slow_reader_of_the_world_hides_no_change_of_the_library(
     field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = transformation("scan", "/scan", "out scan", "scan Scan(here)")
     read, world = World.read, field.reconciler._context.connector.world
     field.host.topics.add("/scan")
     field.spawn("bottom camera", "/camera", config={"image": "/image"})
@@ -347,8 +328,7 @@ def test_a_slow_reader_of_the_world_hides_no_change_of_the_library(
     def read_late(self: World, *args: Any) -> World:
         """Another thread adds a topic, and reads the world of it, in between."""
         monkeypatch.setattr(World, "read", read)
-        kind = '<transformation type="topic"'
-        field.manager.add_transformation(text.replace("<transformation", kind))
+        field.manager.add_transformation(topic("scan", "/scan", "Scan(here)"))
         assert "/scan" in world().described
         return read(self, *args)
 
