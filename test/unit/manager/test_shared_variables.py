@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import List
 
 import pytest
-from unit.manager.field import IMAGE, Field, specification
+from unit.manager.field import IMAGE, RELAY, Field, Ports
 from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import InvalidTag, NoPlanFound
@@ -18,8 +18,8 @@ from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
+from dyknow.simulated.host import FakeNodelet
 
-Ports = Dict[str, Tuple[str, Sequence[str]]]
 FRAME = '<params><param name="frame" type="string">${?c}_link</param></params>'
 CONCEPTS = Concepts({"left": "Camera", "right": "Camera"})
 
@@ -28,26 +28,22 @@ def camera(name: str) -> Ports:
     return {"out": ("out", [f"Image({name})"]), "info": ("out", [f"Info({name})"])}
 
 
-class Lab:
+class Lab(Field):
     """Two cameras, each with its pose, and parts that work on the images of one camera."""
 
     def __init__(self, path: str) -> None:
-        self.field = Field(path, {"dyknow/Relay": [("in", "in", "*"), ("out", "out", "*")]}, "")
-        self.field.ontology = CONCEPTS
-        self.field.kill_manager()
-        self.witness = Witness(self.field.host, CONCEPTS)
-        self.witness.claims = lambda: self.field.reconciler.claims()
-        self.witness.given = lambda name: self.field.manager.graph.get(name).given
+        super().__init__(path, RELAY, "", CONCEPTS)
+        self.witness = Witness(self.host, CONCEPTS)
+        self.witness.claims = lambda: self.reconciler.claims()
+        self.witness.given = lambda name: self.manager.graph.get(name).given
         for name, cost in (("left", 1), ("right", 5)):
             self.add(f"camera {name}", camera(name), cost)
             self.add(f"pose {name}", {"out": ("out", [f"Pose({name})"])})
 
-    def add(self, label: str, ports: Ports, cost: int = 1, params: str = "") -> None:
-        source = "lab/" + label.replace(" ", "_")
-        self.field.host.sources[source] = [(name, way, IMAGE) for name, (way, _) in ports.items()]
+    def add(self, label: str, ports: Ports, cost: int = 1, params: str = "") -> str:
+        source = super().add(label, ports, cost, params)
         self.witness.signed[source] = {name: tuple(tags) for name, (_, tags) in ports.items()}
-        text = specification(label, source, ports, cost, IMAGE)
-        self.field.manager.add_transformation(text.replace("<ports>", params + "<ports>"))
+        return source
 
     def add_detector(self, params: str = "") -> None:
         ports: Ports = {
@@ -58,18 +54,30 @@ class Lab:
         self.add("detector", ports, 1, params)
 
     def settle(self, seconds: float = 3.0) -> None:
-        self.field.settle(seconds)
+        super().settle(seconds)
         assert self.witness.guilt == []
         assert self.witness.lasting() == set()
 
     def made_from(self, label: str) -> List[str]:
-        return [each.name for each in self.field.manager.graph.all() if each.label == label]
+        return [each.name for each in self.manager.graph.all() if each.label == label]
 
     def reads(self, name: str) -> List[str]:
         """Labels of the nodelets that feed a nodelet."""
-        topics = self.field.host.nodelet(name).topics("in")
-        publishers = [each for topic in topics for each in self.field.host.publishers(topic)]
-        return sorted(self.field.manager.graph.get(each).label for each in publishers)
+        topics = self.host.nodelet(name).topics("in")
+        publishers = [each for topic in topics for each in self.host.publishers(topic)]
+        return sorted(self.manager.graph.get(each).label for each in publishers)
+
+    def only(self, label: str) -> FakeNodelet:
+        """The nodelet that was made from a transformation."""
+        (name,) = self.made_from(label)
+        return self.host.nodelet(name)
+
+    def lose(self, name: str) -> None:
+        """Remove a camera and its transformation."""
+        self.manager.remove_transformation(f"camera {name}")
+        (made,) = self.made_from(f"camera {name}")
+        self.host.vanish(made)
+        self.witness.excuse()
 
 
 @pytest.fixture
@@ -79,12 +87,12 @@ def lab(tmp_path: Path) -> Lab:
 
 def test_in_ports_that_share_a_variable_get_streams_of_one_individual(lab: Lab) -> None:
     lab.add_detector()
-    got = lab.field.acquire("Ball(?which)")
+    got = lab.acquire("Ball(?which)")
     assert got.claim.bindings == (("?which", "left"),)
     assert lab.reads(got.claim.goal[0]) == ["camera left", "pose left"]
     answer = StreamAnswers(lambda: 0.0).acquisition(got, ())
     assert (answer.bindings, answer.cost, answer.least_cost) == (("?which=left",), 3.0, 3.0)
-    other = lab.field.acquire("Ball(right)")
+    other = lab.acquire("Ball(right)")
     assert lab.reads(other.claim.goal[0]) == ["camera right", "pose right"]
     assert other.claim.goal[0] != got.claim.goal[0]
     lab.settle()
@@ -92,16 +100,16 @@ def test_in_ports_that_share_a_variable_get_streams_of_one_individual(lab: Lab) 
 
 def test_a_filled_nodelet_is_replaced_for_another_binding_and_the_event_says_so(lab: Lab) -> None:
     lab.add_detector(FRAME)
-    claim = lab.field.acquire("Ball(?c)").claim
+    claim = lab.acquire("Ball(?c)").claim
     given = (Parameter("?c", "string", "left"),)
-    assert lab.field.host.parameters == {f"{claim.goal[0]}/frame": "left_link"}
-    lab.field.kill_manager()
+    assert lab.host.parameters == {f"{claim.goal[0]}/frame": "left_link"}
+    lab.kill_manager()
     lab.settle()
-    assert lab.field.claim(claim.claim_id).goal == claim.goal
-    assert lab.field.manager.graph.get(claim.goal[0]).status.parameters == given
-    lab.field.manager.remove_transformation("camera left")
+    assert lab.claim(claim.claim_id).goal == claim.goal
+    assert lab.manager.graph.get(claim.goal[0]).status.parameters == given
+    lab.manager.remove_transformation("camera left")
     lab.settle(20.0)
-    now = lab.field.claim(claim.claim_id)
+    now = lab.claim(claim.claim_id)
     assert (now.state, now.bindings, now.topic) == (
         ClaimState.ACTIVE,
         (("?c", "right"),),
@@ -109,9 +117,9 @@ def test_a_filled_nodelet_is_replaced_for_another_binding_and_the_event_says_so(
     )
     assert now.goal[0] != claim.goal[0]
     assert lab.made_from("detector") == [now.goal[0]]
-    assert lab.field.host.parameters == {f"{now.goal[0]}/frame": "right_link"}
-    assert any("?c=right from now on" in each for each in lab.field.reasons())
-    lab.field.tidy()
+    assert lab.host.parameters == {f"{now.goal[0]}/frame": "right_link"}
+    assert any("?c=right from now on" in each for each in lab.reasons())
+    lab.tidy()
 
 
 def test_what_is_behind_those_that_are_cut_off_stays_where_it_is(lab: Lab) -> None:
@@ -126,75 +134,73 @@ def test_what_is_behind_those_that_are_cut_off_stays_where_it_is(lab: Lab) -> No
     lab.add("wish", {"out": ("out", ["Wish(ball)"])})
     lab.add("detector", detector)
     lab.add("view", {"in": ("in", ["Found(?thing)"]), "out": ("out", ["View(?thing)"])})
-    lab.field.manager.remove_transformation("camera left")
-    claim = lab.field.acquire("View(?thing)").claim
+    lab.manager.remove_transformation("camera left")
+    claim = lab.acquire("View(?thing)").claim
     lab.settle()
     lab.add("camera left", {"out": ("out", ["Image(left)"])})
     lab.settle()
-    answer = lab.field.reconciler.replan(claim.claim_id)
+    answer = lab.reconciler.replan(claim.claim_id)
     assert answer.spawned == ("/camera_left_1", "/pose_left_1")
     lab.settle()
-    now = lab.field.claim(claim.claim_id)
+    now = lab.claim(claim.claim_id)
     assert (now.state, now.goal, now.topic) == (ClaimState.ACTIVE, claim.goal, claim.topic)
 
 
 def test_what_was_meant_is_suggested_with_the_names_that_were_asked_for(lab: Lab) -> None:
     lab.add("planes", {"in": ("in", ["Image(?c)"]), "out": ("out", ["Planes(?c, half)"])})
     with pytest.raises(NoPlanFound, match=r"did you mean Planes\(left, half\)"):
-        lab.field.acquire("Plnes(left, haf)")
+        lab.acquire("Plnes(left, haf)")
     with pytest.raises(NoPlanFound, match=r"did you mean Planes\(\?camera, half\)"):
-        lab.field.acquire("Planse(?camera, half)")
+        lab.acquire("Planse(?camera, half)")
 
 
 def test_what_variables_can_stand_for_is_found_in_what_runs_and_what_could(lab: Lab) -> None:
     lab.add_detector()
-    found = lab.field.reconciler.find_bindings
+    found = lab.reconciler.find_bindings
     assert found("Ball(?x: Camera)") == ([(("?x", "left"),), (("?x", "right"),)], True)
-    claim = lab.field.acquire("Ball(left)").claim
-    lab.field.manager.remove_transformation("camera right")
+    claim = lab.acquire("Ball(left)").claim
+    lab.manager.remove_transformation("camera right")
     assert found("Ball(?x)") == ([(("?x", "left"),)], True)
-    lab.field.manager.remove_transformation("detector")
+    lab.manager.remove_transformation("detector")
     assert found("Ball(?x)") == ([], True)
-    lab.field.spawn("camera left", "/mine", config={"out": "/mine/out"})
-    lab.field.manager.remove_transformation("camera left")
+    lab.spawn("camera left", "/mine", config={"out": "/mine/out"})
+    lab.manager.remove_transformation("camera left")
     assert found("Image(?x)") == ([(("?x", "left"),)], True)
     assert found("Image(left)") == ([()], True)
     assert found("Image(right)") == ([], True)
     with pytest.raises(InvalidTag):
         found("Image(")
-    assert lab.field.claim(claim.claim_id).state is ClaimState.ACTIVE
+    assert lab.claim(claim.claim_id).state is ClaimState.ACTIVE
 
 
 def test_a_nodelet_made_by_hand_supplies_what_its_inputs_say(lab: Lab) -> None:
     lab.add_detector()
-    field = lab.field
     for name in ("left", "right"):
-        field.spawn(f"camera {name}", f"/camera_{name}", config={"out": f"/{name}"})
-        field.spawn(f"pose {name}", f"/pose_{name}", config={"out": f"/pose_{name}"})
+        lab.spawn(f"camera {name}", f"/camera_{name}", config={"out": f"/{name}"})
+        lab.spawn(f"pose {name}", f"/pose_{name}", config={"out": f"/pose_{name}"})
     config = {"image": "/right", "pose": "/pose_right", "ball": "/ball"}
     lab.witness.by_hand.update(["/hand"])
-    field.spawn("detector", "/hand", config=config)
-    assert field.acquire("Ball(right)").reused[-1:] == ("/pose_right",)
-    assert field.acquire("Ball(right)").claim.goal == ("/hand", "ball")
-    assert field.acquire("Ball(left)").claim.goal[0] != "/hand"
+    lab.spawn("detector", "/hand", config=config)
+    assert lab.acquire("Ball(right)").reused[-1:] == ("/pose_right",)
+    assert lab.acquire("Ball(right)").claim.goal == ("/hand", "ball")
+    assert lab.acquire("Ball(left)").claim.goal[0] != "/hand"
     lab.settle()
 
 
 def test_a_claim_follows_when_people_connect_its_source_elsewhere(lab: Lab) -> None:
     lab.add("detector", {"image": ("in", ["Image(?c)"]), "ball": ("out", ["Ball(?c)"])})
-    field = lab.field
     for name in ("left", "right"):
-        field.spawn(f"camera {name}", f"/camera_{name}", config={"out": f"/{name}"})
-    field.spawn("detector", "/hand", config={"image": "/left", "ball": "/ball"})
+        lab.spawn(f"camera {name}", f"/camera_{name}", config={"out": f"/{name}"})
+    lab.spawn("detector", "/hand", config={"image": "/left", "ball": "/ball"})
     lab.witness.by_hand.update(["/hand"])
-    claim = field.acquire("Ball(?c)").claim
+    claim = lab.acquire("Ball(?c)").claim
     assert (claim.goal[0], claim.bindings) == ("/hand", (("?c", "left"),))
-    field.host.connect("/hand", {"image": "/right"})
-    field.manager.look()
+    lab.host.connect("/hand", {"image": "/right"})
+    lab.manager.look()
     lab.settle()
-    now = field.claim(claim.claim_id)
+    now = lab.claim(claim.claim_id)
     assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))
-    assert any("?c=right from now on" in each for each in field.reasons())
+    assert any("?c=right from now on" in each for each in lab.reasons())
 
 
 # Whenever another individual is received, every port of its variable is reconfigured before
@@ -204,40 +210,32 @@ RECT: Ports = {"out": ("out", ["Rect(?c)"])}
 RECTIFIER: Ports = {"image": ("in", ["Image(?c)"]), "info": ("in", ["Info(?c)"]), **RECT}
 
 
-def lose(lab: Lab, name: str) -> None:
-    """Remove a camera and its transformation."""
-    lab.field.manager.remove_transformation(f"camera {name}")
-    (made,) = lab.made_from(f"camera {name}")
-    lab.field.host.vanish(made)
-    lab.witness.excuse()
-
-
 def test_a_nodelet_is_reconfigured_before_it_hears_another_camera(lab: Lab) -> None:
     lab.add("rectifier", RECTIFIER)
-    image = lab.field.acquire("Image(?c)").claim
-    rect = lab.field.acquire("Rect(?c)").claim
+    image = lab.acquire("Image(?c)").claim
+    rect = lab.acquire("Rect(?c)").claim
     (name,) = lab.made_from("rectifier")
-    assert lab.field.host.nodelet(name).ports["image"].topic == image.topic
+    assert lab.host.nodelet(name).ports["image"].topic == image.topic
     lab.settle()
-    lose(lab, "left")
+    lab.lose("left")
     lab.settle()
-    assert lab.field.claim(rect.claim_id).bindings == (("?c", "right"),)
-    assert lab.field.claim(image.claim_id).bindings == (("?c", "right"),)
+    assert lab.claim(rect.claim_id).bindings == (("?c", "right"),)
+    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
     assert lab.made_from("rectifier") == [name]
-    assert lab.field.host.nodelet(name).ports["image"].topic == image.topic
+    assert lab.host.nodelet(name).ports["image"].topic == image.topic
 
 
 def test_its_ports_change_as_one_though_one_source_is_still_there(lab: Lab) -> None:
     lab.add("pair", {"image": ("in", ["Image(?c)"]), "pose": ("in", ["Pose(?c)"]), **RECT})
-    image = lab.field.acquire("Image(?c)").claim
-    rect = lab.field.acquire("Rect(?c)").claim
+    image = lab.acquire("Image(?c)").claim
+    rect = lab.acquire("Rect(?c)").claim
     lab.settle()
-    told = reconfigurations(lab, "pair")
-    lose(lab, "left")
+    told = lab.only("pair").reconfigurations
+    lab.lose("left")
     lab.settle()
-    assert lab.field.claim(rect.claim_id).bindings == (("?c", "right"),)
-    assert reconfigurations(lab, "pair") == told + 2  # disconnected, and connected, as one
-    assert topics(lab, "pair") == [image.topic, "/pose_right_1/out"]
+    assert lab.claim(rect.claim_id).bindings == (("?c", "right"),)
+    assert lab.only("pair").reconfigurations == told + 2  # disconnected, and connected, as one
+    assert lab.only("pair").topics("in") == [image.topic, "/pose_right_1/out"]
 
 
 FOLLOWER = """<transformation type="node" node="/robot/follower"><label>follower</label>
@@ -251,38 +249,38 @@ def test_an_external_node_is_remembered_over_a_restart_until_it_ends(
     lab: Lab, is_other: bool
 ) -> None:
     """The manager restarts between the loss of one camera and its replacement."""
-    host = lab.field.host
+    host = lab.host
     host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
     lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(thing)",)}
     lab.witness.given = lambda name: {}
-    lab.field.manager.add_transformation(FOLLOWER)
+    lab.manager.add_transformation(FOLLOWER)
 
     def run() -> None:
         host.run_node("/robot/follower", "robot/follower", {}, NodeletKind.CPP_NODE)
-        lab.field.by_hand["/robot/follower"] = True
+        lab.by_hand["/robot/follower"] = True
 
     run()
-    lab.field.manager.look()
-    track = lab.field.acquire("Track(thing)").claim
+    lab.manager.look()
+    track = lab.acquire("Track(thing)").claim
     lab.settle()
-    heard = lab.field.manager.graph.get("/robot/follower").heard
+    heard = lab.manager.graph.get("/robot/follower").heard
     assert heard.ways == ((("?c", "left"),),)
-    lab.field.manager.remove_transformation("camera right")
-    lose(lab, "left")
+    lab.manager.remove_transformation("camera right")
+    lab.lose("left")
     lab.settle(20.0)
-    assert lab.field.state(track.claim_id) is ClaimState.PENDING
+    assert lab.state(track.claim_id) is ClaimState.PENDING
     if is_other:  # another process of that name, which has received nothing
         run()
-        lab.field.kill_manager()
-        assert lab.field.manager.graph.get("/robot/follower").heard.ways == ()
-        assert lab.field.store.read("nodelets", Record.from_body) == {}
+        lab.kill_manager()
+        assert lab.manager.graph.get("/robot/follower").heard.ways == ()
+        assert lab.store.read("nodelets", Record.from_body) == {}
         return
-    lab.field.kill_manager()
-    assert lab.field.manager.graph.get("/robot/follower").heard == heard
+    lab.kill_manager()
+    assert lab.manager.graph.get("/robot/follower").heard == heard
     told = host.nodelet("/robot/follower").reconfigurations
     lab.add("camera right", camera("right"))
     lab.settle()
-    assert lab.field.state(track.claim_id) is ClaimState.ACTIVE
+    assert lab.state(track.claim_id) is ClaimState.ACTIVE
     assert host.nodelet("/robot/follower").reconfigurations > told
 
 
@@ -291,23 +289,23 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
     lab: Lab, is_lost: bool
 ) -> None:
     lab.add("rectifier", RECTIFIER)
-    image = lab.field.acquire("Image(?c)").claim
+    image = lab.acquire("Image(?c)").claim
     config = {"image": image.topic, "info": "/camera_left_1/info"}
-    lab.field.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
-    lab.field.manager.look()
-    lab.field.spawn("rectifier", "/mine", config=config)
-    lab.field.manager.look()
-    lab.field.reconciler.reconcile()
-    told = lab.field.host.nodelet("/mine").reconfigurations
+    lab.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
+    lab.manager.look()
+    lab.spawn("rectifier", "/mine", config=config)
+    lab.manager.look()
+    lab.reconciler.reconcile()
+    told = lab.host.nodelet("/mine").reconfigurations
     if is_lost:
-        lose(lab, "left")
+        lab.lose("left")
     else:
-        lab.field.host.connect("/camera_left_1", {"info": ""})
-        lab.field.manager.remove_transformation("camera left")
-        lab.field.manager.look()
+        lab.host.connect("/camera_left_1", {"info": ""})
+        lab.manager.remove_transformation("camera left")
+        lab.manager.look()
     lab.settle()
-    assert lab.field.claim(image.claim_id).bindings == (("?c", "right"),)
-    mine = lab.field.host.nodelet("/mine")
+    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
+    mine = lab.host.nodelet("/mine")
     assert {name: port.topic for name, port in mine.ports.items() if name in config} == config
     assert mine.reconfigurations == told + 2
 
@@ -315,75 +313,65 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
 def test_users_of_what_people_exchange_are_reconfigured(lab: Lab) -> None:
     lab.add("rectifier", RECTIFIER)
     config = {"out": "/image", "info": "/info"}
-    lab.field.spawn("camera left", "/mine", config=config)
-    lab.field.manager.remove_transformation("camera left")
-    lab.field.manager.remove_transformation("camera right")
-    rect = lab.field.acquire("Rect(?c)").claim
+    lab.spawn("camera left", "/mine", config=config)
+    lab.manager.remove_transformation("camera left")
+    lab.manager.remove_transformation("camera right")
+    rect = lab.acquire("Rect(?c)").claim
     lab.settle()
-    told = reconfigurations(lab, "rectifier")
+    told = lab.only("rectifier").reconfigurations
     lab.add("camera right", camera("right"))
-    lab.field.manager.destroy("/mine")
-    lab.field.by_hand.clear()
-    lab.field.spawn("camera right", "/mine", config=config)
+    lab.manager.destroy("/mine")
+    lab.by_hand.clear()
+    lab.spawn("camera right", "/mine", config=config)
     lab.witness.guilt.clear()
     lab.witness.excuse()
     assert lab.witness.confused == {"/rectifier_1"}
     lab.settle()
-    assert reconfigurations(lab, "rectifier") > told
-    now = lab.field.claim(rect.claim_id)
+    assert lab.only("rectifier").reconfigurations > told
+    now = lab.claim(rect.claim_id)
     assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))
-    assert topics(lab, "rectifier") == ["/image", "/info"]
+    assert lab.only("rectifier").topics("in") == ["/image", "/info"]
 
 
 def test_one_that_does_not_answer_holds_up_no_repair_and_is_reconfigured_later(lab: Lab) -> None:
     lab.add("rectifier", RECTIFIER)
-    image = lab.field.acquire("Image(?c)").claim
-    lab.field.host.add("/far")
-    lab.field.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
-    lab.field.manager.look()
+    image = lab.acquire("Image(?c)").claim
+    lab.host.add("/far")
+    lab.host.connect("/camera_left_1", {"info": "/camera_left_1/info"})
+    lab.manager.look()
     config = {"image": image.topic, "info": "/camera_left_1/info"}
-    lab.field.spawn("rectifier", "/mine", config=config, manager="/far")
+    lab.spawn("rectifier", "/mine", config=config, manager="/far")
     lab.settle()
-    lab.field.host.cut("/far")
-    lose(lab, "left")
-    lab.field.tick(3.0)
-    lab.field.tick(3.0)
-    assert lab.field.claim(image.claim_id).bindings == (("?c", "right"),)
-    told = lab.field.host.nodelet("/mine").reconfigurations
-    lab.field.host.mend("/far")
+    lab.host.cut("/far")
+    lab.lose("left")
+    lab.tick(3.0)
+    lab.tick(3.0)
+    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
+    told = lab.host.nodelet("/mine").reconfigurations
+    lab.host.mend("/far")
     lab.witness.guilt.clear()
     lab.settle()
-    assert lab.field.host.nodelet("/mine").reconfigurations > told
+    assert lab.host.nodelet("/mine").reconfigurations > told
 
 
 @pytest.mark.parametrize("is_relayed", [False, True])
 def test_two_individuals_never_send_on_one_topic(lab: Lab, is_relayed: bool) -> None:
-    claim = lab.field.acquire("Image(?c)").claim
+    claim = lab.acquire("Image(?c)").claim
     if is_relayed:
-        lab.field.spawn("camera right", "/mine", config={"out": "/mine/out"})
+        lab.spawn("camera right", "/mine", config={"out": "/mine/out"})
     lab.settle()
     seen: List[List[str]] = []
-    watch = lab.field.host.on_change
+    watch = lab.host.on_change
 
     def look() -> None:
         watch()
-        seen.append(lab.field.host.publishers(claim.topic))
+        seen.append(lab.host.publishers(claim.topic))
 
-    lab.field.host.on_change = look
-    lab.field.manager.remove_transformation("camera left")
+    lab.host.on_change = look
+    lab.manager.remove_transformation("camera left")
     lab.settle()
-    assert lab.field.claim(claim.claim_id).bindings == (("?c", "right"),)
+    assert lab.claim(claim.claim_id).bindings == (("?c", "right"),)
     assert max(map(len, seen)) == 1
-
-
-def reconfigurations(lab: Lab, label: str) -> int:
-    (name,) = lab.made_from(label)
-    return lab.field.host.nodelet(name).reconfigurations
-
-
-def topics(lab: Lab, label: str) -> List[str]:
-    (name,) = lab.made_from(label)
-    return lab.field.host.nodelet(name).topics("in")
 
 
 @pytest.mark.parametrize("tag", ["Ball", "Track"])
@@ -394,32 +382,32 @@ def test_a_second_nodelet_of_a_transformation_is_replaced_beside_the_first(
     lab.add("tracker", {"in": ("in", ["Ball(?c)"]), "out": ("out", ["Track(?c)"])})
     pair: Ports = {"one": ("in", [f"{tag}(left)"]), "other": ("in", [f"{tag}(right)"])}
     lab.add("stereo", {**pair, "out": ("out", ["Stereo(ball)"])})
-    claim = lab.field.acquire("Stereo(ball)").claim
+    claim = lab.acquire("Stereo(ball)").claim
     lab.settle()
     first, second = lab.made_from("detector")
     trackers = lab.made_from("tracker")
-    told = lab.field.host.nodelet(first).reconfigurations
+    told = lab.host.nodelet(first).reconfigurations
     for name in (second, *trackers[1:]):
-        lab.field.destroy_by_hand(name)
+        lab.destroy_by_hand(name)
     lab.settle()
-    assert lab.field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert lab.state(claim.claim_id) is ClaimState.ACTIVE
     assert first in lab.made_from("detector")
-    assert lab.field.host.nodelet(first).reconfigurations == told
+    assert lab.host.nodelet(first).reconfigurations == told
 
 
 def test_an_external_node_that_a_stream_needs_twice_leaves_its_claim_pending(lab: Lab) -> None:
-    host = lab.field.host
+    host = lab.host
     host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
     lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(?c)",)}
     lab.witness.given = lambda name: {}
-    lab.field.manager.add_transformation(FOLLOWER.replace("Track(thing)", "Track(?c)"))
+    lab.manager.add_transformation(FOLLOWER.replace("Track(thing)", "Track(?c)"))
     pair: Ports = {"one": ("in", ["Track(left)"]), "other": ("in", ["Track(right)"])}
     lab.add("stereo", {**pair, "out": ("out", ["Stereo(ball)"])})
-    lab.field.spawn("camera left", "/left", config={"out": "/left/image"})
+    lab.spawn("camera left", "/left", config={"out": "/left/image"})
     config = {"image": "/left/image", "out": "/track"}
     host.run_node("/robot/follower", "robot/follower", config, NodeletKind.CPP_NODE)
-    lab.field.by_hand["/robot/follower"] = True
-    lab.field.manager.look()
+    lab.by_hand["/robot/follower"] = True
+    lab.manager.look()
     with pytest.raises(NoPlanFound) as refusal:
-        lab.field.acquire("Stereo(ball)")
-    assert lab.field.state(refusal.value.claim_id) is ClaimState.PENDING
+        lab.acquire("Stereo(ball)")
+    assert lab.state(refusal.value.claim_id) is ClaimState.PENDING
