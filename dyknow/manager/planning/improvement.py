@@ -25,7 +25,7 @@ from typing import Callable, Iterable, NamedTuple, Sequence
 
 from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
 from dyknow.manager.planning.reach import Reach
-from dyknow.manager.planning.request import NEVER, Request
+from dyknow.manager.planning.request import NEVER
 from dyknow.manager.planning.search import Search
 
 #: Steps that are taken in a second, on a slow machine.
@@ -72,15 +72,7 @@ class Budget:
         return self.steps >= 0
 
 
-class Improved(NamedTuple):
-    """The best draft, a cost that no plan is below, and whether the clock ended the search."""
-
-    draft: Draft
-    least_cost: int
-    is_cut_short: bool = False
-
-
-def allowed(request: Request, reach: Reach, draft: Draft) -> tuple[Draft, bool, bool]:
+def allowed(reach: Reach, draft: Draft) -> tuple[Draft, bool, bool]:
     """Look for a draft that is sound and in time, instead of the cheapest tree.
 
     A fixed number of steps limits the search, not the clock, which must not decide whether there
@@ -90,10 +82,10 @@ def allowed(request: Request, reach: Reach, draft: Draft) -> tuple[Draft, bool, 
         The draft, or the soonest one that was found; whether it is sound and in time; and whether
         everything was tried.
     """
-    least, _, _ = reach.cheapest(reach.costs, use_sum=False)
+    request = reach.request
     cost, most = sum([draft.graph.costs[each] for each in draft.order]), sum(reach.costs)
     for below in (cost + 1, 2 * cost + 1, 4 * cost + 1, 8 * cost + sys.maxsize + most):
-        found = Search(request, reach, least, below)
+        found = Search(reach, below)
         found.run(_EACH_RISE)
         graph, is_proven = found.graph, found.is_complete
         every = range(len(graph.costs))
@@ -113,18 +105,17 @@ def allowed(request: Request, reach: Reach, draft: Draft) -> tuple[Draft, bool, 
     return draft, False, is_proven
 
 
-def improve(request: Request, reach: Reach, draft: Draft, budget: Budget) -> Improved:
-    """Return a draft of less cost, or the given one."""
+def improve(reach: Reach, draft: Draft, budget: Budget) -> tuple[Draft, int]:
+    """Return a draft of less cost, or the given one, and a cost that no plan is below."""
     floor = reach.forced() if reach.is_simple else 0
     if draft.cost <= floor:
-        return Improved(draft, draft.cost)
-    least, _, _ = reach.cheapest(reach.costs, use_sum=False)
-    floor = min(max(floor, least.get(0, draft.cost)), draft.cost)
+        return draft, draft.cost
+    floor = min(max(floor, reach.floors.get(0, draft.cost)), draft.cost)
     if draft.cost == floor or len(draft.order) > _MOST_INSTANCES:
-        return Improved(draft, floor)
+        return draft, floor
     if not budget.spend(BOUNDED * reach.size):
-        return Improved(draft, floor, budget.is_cut_short)
-    found = Search(request, reach, least, draft.cost)
+        return draft, floor
+    found = Search(reach, draft.cost)
     budget.steps -= budget.steps // 2 - found.run(budget.steps // 2)
     #: No plan with parts that were not found costs less.
     bound = draft.cost if found.is_complete else min(found.reached, draft.cost)
@@ -133,7 +124,7 @@ def improve(request: Request, reach: Reach, draft: Draft, budget: Budget) -> Imp
         bound = min(bound, known)
     elif 0 in found.value:
         bound = min(bound, found.value[0])
-    return Improved(draft, max(floor, bound), budget.is_cut_short)
+    return draft, max(floor, bound)
 
 
 class _Solver:

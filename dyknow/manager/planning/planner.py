@@ -22,7 +22,7 @@ from typing import (
 )
 
 from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
-from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, Improved, allowed, improve
+from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
 from dyknow.manager.planning.patterns import NO_TYPES, Names
 from dyknow.manager.planning.problem import (
@@ -160,26 +160,27 @@ class Planner:
         demand, improving = request.demand, Budget(budget, self._clock)
         reach = Reach(request)
         improving.steps -= BOUNDED * reach.size
-        least, way, _ = reach.cheapest(reach.costs, use_sum=True)
+        _, way = reach.trees
         if reach.is_simple and 0 in way:
             draft = reach.drafted(way)
         else:
-            search = Search(request, reach, least)
+            search = Search(reach)
             steps = _SEARCH + int(budget * STEPS)
             improving.steps -= steps - search.run(steps)
             if not search.goal.answers:
-                return no_plan(request, search)
+                return no_plan(search)
             draft = search.graph.drafted(search.way)
         is_late = request.limit is not None and draft.latency > request.limit
         if is_late or not draft.is_sound:
-            draft, is_found, is_proven = allowed(request, reach, draft)
+            draft, is_found, is_proven = allowed(reach, draft)
             if not is_found and is_proven and draft.cost >= NEVER:
                 return too_few(draft)
             if not is_found and request.limit is not None:
                 return NoPlan(demand, (), False, draft.latency / 1e6)
             if not is_found:
                 return NoPlan(demand, (), is_proven, is_cut_short=not is_proven)
-        return _written(improve(request, reach, draft, improving))
+        draft, least_cost = improve(reach, draft, improving)
+        return _written(draft, least_cost, improving.is_cut_short)
 
     def charges(
         self,
@@ -213,8 +214,7 @@ class Planner:
         request = Request(self._library, demand, list(live), exclude, verdicts=None)
         request.is_whole = True
         reach = Reach(request, is_whole=True)
-        least, _, _ = reach.cheapest(reach.costs, use_sum=False)
-        search = Search(request, reach, least, NEVER)
+        search = Search(reach, NEVER)
         search.run(int(budget * STEPS))
         written = request.names.written
         found: set[tuple[str, Bindings]] = set()
@@ -245,9 +245,7 @@ class Planner:
         """
         variables = sorted({each for term in demand.tags for each in term.variables})
         request = Request(self._library, demand, list(live), wanted=variables, verdicts=verdicts)
-        reach = Reach(request)
-        least, _, _ = reach.cheapest(reach.costs, use_sum=True)
-        search = Search(request, reach, least)
+        search = Search(Reach(request))
         search.run(int(budget * STEPS), is_all=True)
         written = request.names.written
         found = [
@@ -375,9 +373,8 @@ class _Writer:
         raise AssertionError(f"{source} does not supply {demanded}")
 
 
-def _written(improved: Improved) -> Plan:
+def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
     """Write a plan."""
-    draft = improved.draft
     graph, request = draft.graph, draft.graph.request
     writer = _Writer(draft)
     steps: list[PlanStep] = []
@@ -403,9 +400,9 @@ def _written(improved: Improved) -> Plan:
         goal,
         tuple(steps),
         0,
-        improved.least_cost,
+        least_cost,
         tuple(sorted(bindings.items())),
-        improved.is_cut_short,
+        is_cut_short,
         tuple(sorted(charges)),
         latency / 1e6,
     )

@@ -12,8 +12,9 @@ variable is shared.
 from __future__ import annotations
 
 import heapq
+from functools import cached_property
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph, Node
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
 from dyknow.manager.planning.library import Operator
 from dyknow.manager.planning.patterns import Pattern
 from dyknow.manager.planning.request import Request
@@ -69,6 +70,17 @@ class Reach(AndOrGraph):
             self.add_maker(node, instance)
         return instance
 
+    @cached_property
+    def trees(self) -> tuple[dict[Node, int], dict[Node, Instance]]:
+        """The price of the cheapest tree for each node that can be made, and its maker."""
+        value, way, _ = self.cheapest(self.costs, use_sum=True)
+        return value, way
+
+    @cached_property
+    def floors(self) -> dict[Node, int]:
+        """A cost for each node that can be made, which no plan for it is below."""
+        return self.cheapest(self.costs, use_sum=False)[0]
+
     def forced(self) -> int:
         """Return the cost of the instances that every plan has, if no names are to be bound."""
         found = {}
@@ -80,18 +92,14 @@ class Reach(AndOrGraph):
                 waiting += self.needs[instance]
         return sum(found.values())
 
-    def above(self, least: dict[Node, int], below: int) -> tuple[dict[Pattern, int], int]:
-        """Return the least cost of a plan besides a demand, if it costs less than a bound.
-
-        Args:
-            least: what no plan for each demand is below.
-            below: demands that only dearer plans need are left out.
+    def above(self, below: int) -> tuple[dict[Pattern, int], int]:
+        """Return the least cost of a plan besides each demand, if it costs less than a bound.
 
         Returns:
             That, and its cost besides a demand of which nothing is known.
         """
         found: dict[Pattern, int] = {}
-        rest = below
+        least, rest = self.floors, below
         floors = [
             cost + max([least.get(need, below) for need in needs], default=0)
             for cost, needs in zip(self.costs, self.needs)

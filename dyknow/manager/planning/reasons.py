@@ -44,13 +44,14 @@ class _Open(NamedTuple):
     rest: tuple[str, ...] = ()
 
 
-def no_plan(request: Request, search: Search) -> NoPlan:
+def no_plan(search: Search) -> NoPlan:
     """Return the reasons why there is no plan."""
+    request = search.graph.request
     if not search.is_complete:
         return NoPlan(request.demand, (), False, is_cut_short=True)
     missing: set[Demand] = set()
     obstacles: set[Obstacle] = set()
-    for each in _leaves(request, search):
+    for each in _leaves(search):
         causes = each.rest + _causes(request, each)
         if causes:
             obstacles.add(Obstacle(each.demand, causes))
@@ -73,8 +74,9 @@ def too_few(draft: Draft) -> NoPlan:
     return NoPlan(demand, (), False, obstacles=(Obstacle(demand, (cause,)),))
 
 
-def _leaves(request: Request, search: Search) -> Iterator[_Open]:
+def _leaves(search: Search) -> Iterator[_Open]:
     """Yield the demands that no action can supply, and that have to be met."""
+    request = search.graph.request
     goal = _Open(request.goal, search.goal.known, request.demand)
     seen = {goal[:2]}
     waiting = [goal]
@@ -86,7 +88,7 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
                 continue  # as the same action that need not be fast
             bounds = search.passed(each.pattern, each.known, offer)
             if bounds is not None:
-                unmet = _unmet(request, search, action, bounds)
+                unmet = _unmet(search, action, bounds)
                 # Else only its free nodelets are in the way, which have to keep other names.
                 is_leaf = is_leaf and action.base in request.scarce and not unmet
                 for below in unmet:
@@ -97,8 +99,9 @@ def _leaves(request: Request, search: Search) -> Iterator[_Open]:
             yield each
 
 
-def _unmet(request: Request, search: Search, action: Operator, bounds: Known) -> list[_Open]:
+def _unmet(search: Search, action: Operator, bounds: Known) -> list[_Open]:
     """Return the unmet demands of an action's in-ports."""
+    request = search.graph.request
 
     def opened(port: int, bounds: Known) -> _Open:
         known = tuple([bounds[each] for each in action.shares[port]])

@@ -26,7 +26,6 @@ from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
 from dyknow.manager.planning.library import Offer, Operator
 from dyknow.manager.planning.patterns import Known, Pattern, Theta, ground, solutions
 from dyknow.manager.planning.reach import Reach
-from dyknow.manager.planning.request import Request
 
 #: Steps of a budget that one entry of the search's queue takes.
 _EFFORT = 200
@@ -108,21 +107,18 @@ class Search:
         reached: no plan with parts that were not found costs less.
     """
 
-    def __init__(
-        self, request: Request, reach: Reach, least: dict[Node, int], below: int | None = None
-    ) -> None:
+    def __init__(self, reach: Reach, below: int | None = None) -> None:
         """Start the search at the goal.
 
         Args:
-            request: the problem.
-            reach: the reach of the goal.
-            least: least costs of its nodes; those without one cannot be supplied.
+            reach: the reach of the goal; nodes without a least cost cannot be supplied.
             below: collect all that a plan which costs less can have. Costs are then the maximum
                 over the inputs, not the sum, and no plan costs less than that.
         """
-        self._request = request
+        self._request = request = reach.request
         self._names = request.names
         self._numbers = reach.numbers
+        least = reach.trees[0] if below is None else reach.floors
         self._least = {reach.patterns[node]: cost for node, cost in least.items()}
         self._combine: Callable[[Sequence[int]], int] = sum if below is None else max
         self._below = below
@@ -130,7 +126,7 @@ class Search:
         self._above: dict[Pattern, int] | None = None
         self._above_others = 0
         if below is not None:
-            self._above, self._above_others = reach.above(least, below)
+            self._above, self._above_others = reach.above(below)
         self.graph = AndOrGraph(request)
         self.value: dict[Node, int] = {}
         self.way: dict[Node, Instance] = {}

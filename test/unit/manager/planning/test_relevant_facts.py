@@ -36,7 +36,7 @@ def looked_at(index: OperatorIndex, tag: str) -> int:
     """Return how many actions and instances it took to plan."""
     request = Request(index, demand(tag), ())
     reach = Reach(request)
-    search = Search(request, reach, reach.cheapest(reach.costs, use_sum=True)[0])
+    search = Search(reach)
     left = search.run(_MANY_STEPS)
     assert search.goal.answers
     return reach.size + (_MANY_STEPS - left) // 200
