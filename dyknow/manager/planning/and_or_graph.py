@@ -106,10 +106,6 @@ class AndOrGraph:
         else:
             self.makes[instance] = [*made, node] if made else (node,)
 
-    def key(self, instance: Instance) -> tuple[Operator | None, Theta]:
-        """Return a key that is equal for equal instances of several graphs."""
-        return self.actions[instance], self.thetas[instance]
-
     def action(self, instance: Instance) -> Operator:
         action = self.actions[instance]
         assert action is not None

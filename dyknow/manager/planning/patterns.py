@@ -9,14 +9,7 @@ acts as a type: it subsumes the supplied name in its place.
 
 from __future__ import annotations
 
-from typing import (
-    AbstractSet,
-    FrozenSet,
-    Iterable,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import AbstractSet, FrozenSet, Iterable, Sequence, Tuple, Union
 
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption, Term, types_of
 
@@ -82,7 +75,7 @@ class Pattern:
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
     @property
-    def key(self) -> tuple[object, ...]:
+    def key(self) -> tuple[tuple[Atom, ...], str, tuple[Types, ...], tuple[int, ...]]:
         """Equal for patterns with the same meaning."""
         return self.atoms, self.datatype, self.types, self.wanted
 

@@ -13,13 +13,7 @@ between equal costs, so equal problems have equal plans.
 from __future__ import annotations
 
 import time
-from typing import (
-    AbstractSet,
-    Callable,
-    Iterable,
-    Mapping,
-    Sequence,
-)
+from typing import AbstractSet, Callable, Iterable, Mapping, Sequence
 
 from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
 from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, allowed, improve
@@ -34,7 +28,6 @@ from dyknow.manager.planning.problem import (
     NOT_PREFERRED,
     Action,
     Answer,
-    Charge,
     Demand,
     Free,
     Live,
@@ -136,25 +129,19 @@ class Planner:
         library, streams = self._library, list(live)
         charges = _charges(library, demand, streams, exclude, wishes)
         request = Request(
-            library,
-            demand,
-            streams,
-            exclude,
-            paused,
-            free,
-            charges,
-            feeders,
-            verdicts=verdicts,
-            refused=refused,
+            library, demand, streams, exclude, paused, free, charges, feeders, verdicts, refused
         )
         answer = self._answer(request, budget)
-        if isinstance(answer, Plan) and _has_twins(answer):
-            request.is_strict = True
-            strict = self._answer(request, budget)
-            if isinstance(strict, Plan):
-                return strict._replace(least_cost=min(strict.least_cost, answer.least_cost))
+        if isinstance(answer, NoPlan) or not demand.min_rate:
+            return answer
+        if len({step.instance for step in answer.steps}) == len(answer.steps):
+            return answer
+        # A nodelet is made twice: with fast inputs and with others.
+        request.is_strict = True
+        strict = self._answer(request, budget)
+        if isinstance(strict, NoPlan):
             return strict
-        return answer
+        return strict._replace(least_cost=min(strict.least_cost, answer.least_cost))
 
     def _answer(self, request: Request, budget: float) -> Answer:
         demand, improving = request.demand, Budget(budget, self._clock)
@@ -213,8 +200,7 @@ class Planner:
         """
         request = Request(self._library, demand, list(live), exclude, verdicts=None)
         request.is_whole = True
-        reach = Reach(request, is_whole=True)
-        search = Search(reach, NEVER)
+        search = Search(Reach(request), NEVER)
         search.run(int(budget * STEPS))
         written = request.names.written
         found: set[tuple[str, Bindings]] = set()
@@ -255,13 +241,6 @@ class Planner:
         return sorted(found), search.is_complete
 
 
-def _has_twins(plan: Plan) -> bool:
-    """Whether a nodelet is made twice: with fast inputs and with others."""
-    if not plan.demand.min_rate:
-        return False
-    return len({(step.action.label, step.bindings) for step in plan.steps}) < len(plan.steps)
-
-
 def _charges(
     library: OperatorIndex,
     demand: Demand,
@@ -279,20 +258,20 @@ def _charges(
         return {}
     names = library.names
     request = Request(library, demand, streams, exclude)
-    reach = Reach(request, is_whole=True)
+    request.is_whole = True
     tags: dict[str, set[Term]] = {}
     for stream, terms in streams:
         if stream.label not in exclude:
             tags.setdefault(stream.label, set()).update(terms)
     suppliers: list[set[str]] = []
-    for pattern in reach.patterns:
+    for pattern in Reach(request).patterns:
         facts = [head for head, _ in request.facts(pattern)]
         makers = [offer.action for offer in request.offers(pattern)]
-        actions = {*makers, *[head.action for head in facts]} - request.live
-        for action in actions:
+        new = {*makers, *[head.action for head in facts if head.live is None]}
+        for action in new:
             for head in action.heads:
                 tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
-        suppliers.append({*[e.label for e in actions], *[head.label for head in facts]})
+        suppliers.append({*[e.label for e in new], *[head.label for head in facts]})
 
     def meant(wanted: Iterable[str]) -> frozenset[str]:
         concepts = frozenset(map(names.canonical, wanted))
@@ -323,20 +302,16 @@ class _Writer:
         self._graph = draft.graph
         self._way = draft.way
         self._bindings: dict[Instance, Bindings] = {}
-        #: When nodelets have their inputs, in microseconds.
-        self._begun: dict[Instance, int] = {}
-        self._sources: dict[Node, tuple[Source, Head, int]] = {}
+        self._sources: dict[Node, tuple[Source, Head]] = {}
 
-    def source(self, node: Node) -> tuple[Source, Head, int]:
-        """Return the supplier of a node, its out-port, and its latency in microseconds."""
+    def source(self, node: Node) -> tuple[Source, Head]:
+        """Return the supplier of a node, and its out-port."""
         found = self._sources.get(node)
         if found is None:
             instance = self._way[node]
             head = self._graph.head(instance, node)
-            source = head.live or New(
-                head.action.label, head.port.name, self._bindings.get(instance, ())
-            )
-            found = source, head, self._begun.get(instance, 0) + head.latency
+            bindings = self._bindings.get(instance, ())
+            found = head.live or New(head.action.label, head.port.name, bindings), head
             self._sources[node] = found
         return found
 
@@ -346,13 +321,12 @@ class _Writer:
             return PlanStep(part, ())
         ports = action.in_ports
         sources = [self.source(node) for node in self._graph.needs[instance]]
-        self._begun[instance] = max([latency for _, _, latency in sources])
-        inputs = tuple([(port.name, source[0]) for port, source in zip(ports, sources)])
+        inputs = tuple([(port.name, source) for port, (source, _) in zip(ports, sources)])
         if not action.variables and not action.has_private:
             return PlanStep(part, inputs)
         joined = dict(zip(action.variables, self._graph.thetas[instance]))
         bindings: dict[str, str] = {}
-        for port, (source, head, _) in zip(ports, sources):
+        for port, (source, head) in zip(ports, sources):
             way = self.bound(source, head, read_tags(port.tags), joined)
             bindings = {**way, **bindings}
         self._bindings[instance] = tuple(sorted(bindings.items()))
@@ -378,20 +352,20 @@ def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
     graph, request = draft.graph, draft.graph.request
     writer = _Writer(draft)
     steps: list[PlanStep] = []
-    charges: list[Charge] = []
+    charges: list[tuple[str, int]] = []
     surplus = graph.surplus(draft.order) if request.kept else ()
     for instance in draft.order:
         action, theta = graph.action(instance).base, graph.thetas[instance]
-        if action in request.live:
+        if action.transformation is None:
             if action.cost:
-                charges.append(Charge(action.label, action.cost))
+                charges.append((action.label, action.cost))
             continue
         is_there = request.kept and instance not in surplus and request.fitting(action, theta)
         cost = 0 if is_there else action.cost
         part = Action(action.label, cost, request.charges.get(action, 0))
         steps.append(writer.step(instance, action, part))
     demand = request.demand
-    goal, head, latency = writer.source(0)
+    goal, head = writer.source(0)
     bindings: dict[str, str] = {}
     if any(term.variables for term in demand.tags):
         bindings = writer.bound(goal, head, sorted(demand.tags), {})
@@ -404,6 +378,6 @@ def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
         tuple(sorted(bindings.items())),
         is_cut_short,
         tuple(sorted(charges)),
-        latency / 1e6,
+        draft.latency / 1e6,
     )
     return plan._replace(cost=plan.total)

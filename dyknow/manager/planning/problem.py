@@ -108,13 +108,6 @@ class Action(NamedTuple):
     charge: int = 0
 
 
-class Charge(NamedTuple):
-    """The charges of a running nodelet, or a topic of ordinary nodes."""
-
-    name: str
-    charge: int
-
-
 class PlanStep(NamedTuple):
     """A nodelet to make: its in-ports with their suppliers, and bindings of all variables."""
 
@@ -138,7 +131,7 @@ class Plan(NamedTuple):
         bindings: of the variables in the demand.
         is_cut_short: whether the clock ended the improvement, so that the same problem may have
             another plan at another time.
-        charges: of the streams that are used as they are.
+        charges: of the running nodelets, and the topics, whose streams are used as they are.
         latency: the stated latencies along the longest path, in s.
     """
 
@@ -149,7 +142,7 @@ class Plan(NamedTuple):
     least_cost: int = 0
     bindings: Bindings = ()
     is_cut_short: bool = False
-    charges: tuple[Charge, ...] = ()
+    charges: tuple[tuple[str, int], ...] = ()
     latency: float = 0.0
 
     @property

@@ -29,8 +29,8 @@ class Reach(AndOrGraph):
         is_simple: whether no names are to be bound.
     """
 
-    def __init__(self, request: Request, is_whole: bool = False) -> None:
-        """Collect the reach of the goal; as a whole, also where a demand is met at no cost."""
+    def __init__(self, request: Request) -> None:
+        """Collect it; that of a whole request also where a demand is met at no cost."""
         super().__init__(request)
         self.size = 0
         self.is_simple = not request.goal.wanted
@@ -41,7 +41,7 @@ class Reach(AndOrGraph):
         for node, pattern in enumerate(self.patterns):  # grows meanwhile
             facts = request.cheapest_facts(pattern)
             makers = [self._maker(node, head.action, head.cost) for head in facts[:1]]
-            if not is_whole:
+            if not request.is_whole:
                 if facts and not pattern.wanted and request.is_met(pattern, facts[0]):
                     continue
                 crowd = request.crowd(pattern) if pattern.wanted else None

@@ -14,13 +14,7 @@ import heapq
 import itertools
 from dataclasses import replace
 from types import MappingProxyType
-from typing import (
-    AbstractSet,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence
 
 from dyknow.manager.planning.library import (
     Head,
@@ -74,7 +68,6 @@ class Request:
         kept: actions of which nodelets are free: numbers of these, and names that each keeps.
         scarce: those of them of which no further nodelet is made.
         charges: charges of actions besides their costs.
-        live: the actions of live streams.
         is_strict: whether private variables count as one where an action has fast inputs or not.
         is_whole: whether parts of dearer plans are looked at as well.
     """
@@ -92,9 +85,9 @@ class Request:
         free: Free = NO_FREE,
         charges: Mapping[str, int] = NO_CHARGES,
         feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
-        wanted: Sequence[str] = (),
         verdicts: Verdicts | None = NO_VERDICTS,
         refused: AbstractSet[str] = NO_TYPES,
+        wanted: Sequence[str] = (),
     ) -> None:
         """Set it up; the arguments are those of `Planner.plan`.
 
@@ -138,20 +131,19 @@ class Request:
         for each in sorted(streams):
             if each[0].label not in exclude:
                 by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
-        self.live = set()
-        for name, some in by_name.items():
-            labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
-            self.live.add(self._source(name, sum([charges.get(e, 0) for e in labels]), some))
         heads = [
             replace(head, cost=floor)
             for action, floor in self._floors.items()
             if not action.inputs
             for head in action.heads
         ]
-        self._local = bucketed([*heads, *[head for each in self.live for head in each.heads]])
+        for name, some in by_name.items():
+            labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
+            heads += self._source(name, sum([charges.get(e, 0) for e in labels]), some)
+        self._local = bucketed(heads)
 
-    def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> Operator:
-        """Return the action of live streams, which needs nothing."""
+    def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> tuple[Head, ...]:
+        """Return the out-ports of an action of live streams, which needs nothing."""
         action = Operator(name, cost, None, (), (), (), (), (), False, None)
         found = []
         for live, terms in streams:
@@ -160,7 +152,7 @@ class Request:
             port = Port(live.port, OUT, live.datatype, texts, live.rate, live.latency)
             found.append(Head(action, cost, port, atoms, live))
         action.heads = tuple(found)
-        return action
+        return action.heads
 
     # Actions
 
@@ -279,7 +271,7 @@ class Request:
         )
         yield from itertools.islice(found, _MOST_ALIKE)
         for each in self._unusable:
-            yield from self._source(each[0].label, 0, [each]).heads
+            yield from self._source(each[0].label, 0, [each])
 
     # Rates
 
@@ -287,14 +279,7 @@ class Request:
         """Return the pattern of the same demand for a fast stream."""
         found = self._fast.get(pattern)
         if found is None:
-            found = self._fast[pattern] = Pattern(
-                pattern.atoms,
-                pattern.datatype,
-                pattern.types,
-                pattern.wanted,
-                pattern,
-                pattern.refused,
-            )
+            found = self._fast[pattern] = Pattern(*pattern.key, pattern, pattern.refused)
         return found
 
     def _faster_action(self, action: Operator) -> Operator:
