@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING, Dict, List, Optional, Tuple, Union
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QPainterPath, QPen
-from python_qt_binding.QtWidgets import (
-    QGraphicsItem,
-    QGraphicsPathItem,
-    QGraphicsSimpleTextItem,
-)
+from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraphicsSimpleTextItem
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem

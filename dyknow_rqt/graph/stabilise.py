@@ -15,14 +15,7 @@ from statistics import median
 from typing import Dict, List, Mapping, Sequence, Set
 
 from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind
-from dyknow_rqt.graph.geometry import (
-    Layout,
-    Point,
-    Rectangle,
-    Size,
-    around,
-    boxes_around,
-)
+from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size, around, boxes_around
 
 #: So many vertices may move when something is added or removed.
 MOST_MOVED = 4

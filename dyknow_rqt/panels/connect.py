@@ -9,13 +9,7 @@ import contextlib
 from typing import Callable, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QEvent, QSignalBlocker, QStringListModel, Qt
-from python_qt_binding.QtWidgets import (
-    QComboBox,
-    QCompleter,
-    QGroupBox,
-    QLabel,
-    QPushButton,
-)
+from python_qt_binding.QtWidgets import QComboBox, QCompleter, QGroupBox, QLabel, QPushButton
 
 from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef, PortState

@@ -9,16 +9,7 @@ import time
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import (
-    CEILING,
-    TRACKER,
-    cells_of,
-    click,
-    no_boxes,
-    topic,
-    until,
-    vertex_keys,
-)
+from unit.rqt.hands import CEILING, TRACKER, cells_of, click, no_boxes, topic, until, vertex_keys
 
 from dyknow.model.graph import OUTDATED, PortRef
 from dyknow_rqt.panels.tables import KeyedTable
