@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import Any, Dict, FrozenSet, Iterable, List, Union
 
-from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer, Signal
-from python_qt_binding.QtGui import QKeySequence
+from python_qt_binding.QtCore import QByteArray, QEvent, QSize, Qt, QTimer, Signal
+from python_qt_binding.QtGui import QIcon, QKeySequence, QPainter, QPalette, QPixmap
+from python_qt_binding.QtSvg import QSvgRenderer
 from python_qt_binding.QtWidgets import (
     QAction,
     QActionGroup,
@@ -24,7 +25,6 @@ from python_qt_binding.QtWidgets import (
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
 from dyknow_rqt.graph.filters import Filter
-from dyknow_rqt.icons import icon_of
 from dyknow_rqt.widgets import FilterEdit, row_of
 
 _TYPING = 250  # ms
@@ -46,6 +46,27 @@ _CHECKS = (
     ("highlight", "&Highlight", "The neighbours of the thing under the pointer", True),
 )
 _FILTERS = ("nodelets", "topics")
+#: Pixels of a drawn icon; smaller ones are made from it.
+_ICON = 96
+_SVG = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24"><path d="{}" fill="none" '
+    'stroke="{}" stroke-width="1.8" stroke-linecap="round" stroke-linejoin="round"/></svg>'
+)
+#: Lines in a square of 24, by the names of freedesktop.org or of common themes.
+_LINES = {
+    "configure": "M4 7H12M18 7H20M4 17H6M12 17H20M15 4V10M9 14V20",
+    "distribute-graph-directed": "M3 9H9V15H3ZM15 3H21V9H15ZM15 15H21V21H15ZM9 11L15 6M9 13L15 18",
+    "document-open": "M3 19V5H9L11 8H19V11M3 19L6 11H22L19 19Z",
+    "document-save": "M12 3V14M7 9.5L12 14.5L17 9.5M4 15V20H20V15",
+    "edit-redo": "M16 4L21 9L16 14M21 9H10C2 9 2 20 10 20H13",
+    "edit-undo": "M8 4L3 9L8 14M3 9H14C22 9 22 20 14 20H11",
+    "go-next": "M8 5L15 12L8 19",
+    "view-filter": "M3 4H21L14 13V20L10 17V13Z",
+    "view-history": "M12 3C24 3 24 21 12 21C0 21 0 3 12 3M12 8V12L15.5 14",
+    "view-refresh": "M20 4V9H15M20 9C17 2 4 3 4 12C4 21 17 22 20 15",
+    "view-sidetree": "M3 4H21V20H3ZM9 4V20M5 8H7M5 12H7",
+    "zoom-fit-best": "M3 8V3H8M16 3H21V8M21 16V21H16M8 21H3V16M8 8H16V16H8Z",
+}
 
 
 class GraphBar(QWidget):
@@ -251,8 +272,8 @@ class GraphBar(QWidget):
 
     def _draw_icons(self) -> None:
         for name, action in self._icons.items():
-            action.setIcon(icon_of(name, self.palette()))
-        self._more.setIcon(icon_of("go-next", self.palette()))
+            action.setIcon(_icon_of(name, self.palette()))
+        self._more.setIcon(_icon_of("go-next", self.palette()))
 
     @qt_slot
     def _filter(self) -> None:
@@ -278,3 +299,14 @@ def _give_keys(action: QAction, *keys: str) -> None:
 def _explain(action: QAction, tip: str) -> None:
     keys = ", ".join(key.toString() for key in action.shortcuts())
     action.setToolTip(f"{tip} ({keys})" if keys else tip)
+
+
+def _icon_of(name: str, palette: QPalette) -> QIcon:
+    """The icon of a name; one that is drawn has the colour of the palette's text."""
+    drawn = QPixmap(_ICON, _ICON)
+    drawn.fill(Qt.transparent)
+    colour = palette.color(QPalette.Active, QPalette.ButtonText).name()
+    painter = QPainter(drawn)
+    QSvgRenderer(QByteArray(_SVG.format(_LINES[name], colour).encode())).render(painter)
+    painter.end()
+    return QIcon.fromTheme(name, QIcon(drawn))

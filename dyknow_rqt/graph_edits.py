@@ -19,11 +19,11 @@ from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph import changes
-from dyknow_rqt.graph.changes import Rewire
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Point
 from dyknow_rqt.graph.places import Places
 from dyknow_rqt.graph.wiring import (
+    Rewire,
     connect,
     connect_topic,
     disconnect,

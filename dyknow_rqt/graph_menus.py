@@ -13,8 +13,7 @@ from python_qt_binding.QtWidgets import QMenu, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.figure import Edge, Group, VertexKind, edge_refs
-from dyknow_rqt.graph.guards import not_destroyed, not_ours, protection
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, not_ours, protection
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.selection import Selection

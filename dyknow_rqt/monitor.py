@@ -34,8 +34,7 @@ from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.changes import Change, DoneChange, Present
-from dyknow_rqt.graph.history import UndoHistory
+from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
 from dyknow_rqt.graph.rates import Meter, PortRate, Strain
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources

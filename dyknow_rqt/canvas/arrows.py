@@ -25,9 +25,8 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, height_of
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of, write
-from dyknow_rqt.canvas.tones import Tone
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size
 from dyknow_rqt.graph.rates import PortRate

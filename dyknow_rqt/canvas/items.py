@@ -24,8 +24,7 @@ from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import Colours
-from dyknow_rqt.canvas.tones import Tone
+from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.verdicts import PortVerdict

@@ -23,9 +23,8 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, height_of
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
-from dyknow_rqt.canvas.tones import Tone
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import Strain

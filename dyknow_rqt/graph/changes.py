@@ -10,16 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import (
-    Callable,
-    Dict,
-    List,
-    Mapping,
-    NamedTuple,
-    NoReturn,
-    Sequence,
-    Tuple,
-)
+from typing import Callable, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.manager.steps import (
@@ -31,7 +22,7 @@ from dyknow.manager.steps import (
     destroy_own,
 )
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import NodeletStatus, PortRef, SpawnRequest
+from dyknow.model.graph import NodeletStatus, SpawnRequest
 from dyknow.model.hosts import pins
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import NODE, Parameter, Transformation, as_specification
@@ -41,6 +32,8 @@ from dyknow.wiring.wiring import Wiring, request_of
 from dyknow_rqt.graph.snapshot import Snapshot
 
 Do = Callable[[], object]
+#: The most changes that can be undone.
+DEPTH = 100
 #: Functions that do and undo; a third one may check that no other client has changed it since.
 DoAndUndo = Tuple[Do, ...]
 
@@ -111,6 +104,51 @@ class Change:
         return DoneChange(self, steps, ": ".join([self.text, *present.outcome]))
 
 
+class UndoHistory:
+    """The changes that can be undone, and those that can be redone."""
+
+    def __init__(self) -> None:
+        self._done: List[DoneChange] = []
+        self._undone: List[Change] = []
+
+    def note(self, done: DoneChange) -> None:
+        """Note a change; nothing can be redone after it."""
+        self._done.append(done)
+        del self._done[:-DEPTH]
+        self._undone.clear()
+
+    def note_undone(self) -> None:
+        """Note that the last change was undone."""
+        self._undone.append(self._done.pop().change)
+
+    def note_redone(self, done: DoneChange) -> None:
+        """Note that the last undone change was redone."""
+        self._undone.pop()
+        self._done.append(done)
+
+    def drop(self) -> None:
+        """Forget the last change, which cannot be undone, so that those before it can be."""
+        self._done.pop()
+
+    @property
+    def last(self) -> Optional[DoneChange]:
+        """The change that undo undoes, or None."""
+        return self._done[-1] if self._done else None
+
+    @property
+    def next(self) -> Optional[Change]:
+        """The change that redo makes, or None."""
+        return self._undone[-1] if self._undone else None
+
+    @property
+    def texts(self) -> Tuple[str, str]:
+        """The changes that undo and redo would make, in words; empty for none."""
+        return (
+            self.last.change.text if self.last is not None else "",
+            self.next.text if self.next is not None else "",
+        )
+
+
 @dataclass(frozen=True)
 class Steps(Change):
     """A change given by a function that lists its steps."""
@@ -133,58 +171,6 @@ def _no_way(reason: str) -> Callable[[], NoReturn]:
         raise CannotUndo(reason)
 
     return undo
-
-
-@dataclass(frozen=True)
-class Rewire(Change):
-    """Connects ports of any number of nodelets: all of them, or none.
-
-    Attributes:
-        topics: the topic for each port; empty to disconnect it.
-        text: the change in a few words.
-        expected: the topic of each port before the change.
-    """
-
-    topics: Tuple[Tuple[PortRef, str], ...]
-    text: str
-    expected: Tuple[Tuple[PortRef, str], ...] = ()
-
-    @property
-    def replaced(self) -> str:
-        """The connections that end by it, in words; empty if there are none."""
-        ends = dict(self.expected)
-        lost = [f"{ends[ref]} at {ref}" for ref, topic in self.topics if ends.get(ref) and topic]
-        return f"replaces {', '.join(lost)}" if lost else ""
-
-    def steps(self, present: Present) -> Sequence[ReversibleStep]:
-        """Connect all ports in one step."""
-        client = present.client
-        return [
-            ReversibleStep(
-                self.text,
-                "",
-                lambda: client.connect(_by_nodelet(self.topics)),
-                lambda: client.connect(_by_nodelet(self.expected)),
-                lambda: _check(client, self.topics),
-            )
-        ]
-
-    def check(self, client: BaseManagerClient) -> None:
-        """Check that the ports are connected as they were before the change."""
-        _check(client, self.expected)
-
-
-def _by_nodelet(topics: Sequence[Tuple[PortRef, str]]) -> List[Tuple[str, Dict[str, str]]]:
-    configs: Dict[str, Dict[str, str]] = {}
-    for ref, topic in topics:
-        configs.setdefault(ref.nodelet, {})[ref.port] = topic
-    return list(configs.items())
-
-
-def _check(client: BaseManagerClient, topics: Sequence[Tuple[PortRef, str]]) -> None:
-    """Ask the proxies: the window's snapshot may be older than its own last change."""
-    for nodelet, config in _by_nodelet(topics):
-        check_connected(client, nodelet, config)
 
 
 def _nodelet(client: BaseManagerClient, name: str) -> NodeletStatus:

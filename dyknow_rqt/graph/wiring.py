@@ -6,18 +6,72 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from typing import Iterator, List, Mapping, Tuple
+from dataclasses import dataclass, replace
+from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 
 from dyknow import names
 from dyknow.datatypes import types_fit
+from dyknow.manager.steps import ReversibleStep, check_connected
+from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, PortState, SpawnRequest
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow.wiring import ports
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.graph.changes import Change, Rewire, Steps, spawn
+from dyknow_rqt.graph.changes import Change, Present, Steps, spawn
 from dyknow_rqt.graph.figure import Edge, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class Rewire(Change):
+    """Connects ports of any number of nodelets: all of them, or none.
+
+    Attributes:
+        topics: the topic for each port; empty to disconnect it.
+        text: the change in a few words.
+        expected: the topic of each port before the change.
+    """
+
+    topics: Tuple[Tuple[PortRef, str], ...]
+    text: str
+    expected: Tuple[Tuple[PortRef, str], ...] = ()
+
+    @property
+    def replaced(self) -> str:
+        """The connections that end by it, in words; empty if there are none."""
+        ends = dict(self.expected)
+        lost = [f"{ends[ref]} at {ref}" for ref, topic in self.topics if ends.get(ref) and topic]
+        return f"replaces {', '.join(lost)}" if lost else ""
+
+    def steps(self, present: Present) -> Sequence[ReversibleStep]:
+        """Connect all ports in one step."""
+        client = present.client
+        return [
+            ReversibleStep(
+                self.text,
+                "",
+                lambda: client.connect(_by_nodelet(self.topics)),
+                lambda: client.connect(_by_nodelet(self.expected)),
+                lambda: _check(client, self.topics),
+            )
+        ]
+
+    def check(self, client: BaseManagerClient) -> None:
+        """Check that the ports are connected as they were before the change."""
+        _check(client, self.expected)
+
+
+def _by_nodelet(topics: Sequence[Tuple[PortRef, str]]) -> List[Tuple[str, Dict[str, str]]]:
+    configs: Dict[str, Dict[str, str]] = {}
+    for ref, topic in topics:
+        configs.setdefault(ref.nodelet, {})[ref.port] = topic
+    return list(configs.items())
+
+
+def _check(client: BaseManagerClient, topics: Sequence[Tuple[PortRef, str]]) -> None:
+    """Ask the proxies: the window's snapshot may be older than its own last change."""
+    for nodelet, config in _by_nodelet(topics):
+        check_connected(client, nodelet, config)
 
 
 def fit(one: PortState, other: PortState) -> bool:

@@ -14,8 +14,7 @@ from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import destroy, protect
-from dyknow_rqt.graph.guards import not_destroyed, protection
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection

@@ -20,6 +20,7 @@ from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     Present,
+    UndoHistory,
     add_transformations,
     destroy,
     isolate,
@@ -30,7 +31,6 @@ from dyknow_rqt.graph.changes import (
     set_parameters,
     spawn,
 )
-from dyknow_rqt.graph.history import UndoHistory
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, topics_for
 

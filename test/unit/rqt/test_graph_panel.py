@@ -15,8 +15,8 @@ from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
 from unit.rqt.hands import centre_of, drag, is_settled, until, vertex_keys
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.canvas.pictures import save
 from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph_files import save_drawing
 
 
 def test_hovering_lights_up_the_neighbours(qtbot, window, remote):
@@ -118,7 +118,7 @@ def test_find_selects_one_after_the_other_and_arrow_keys_walk_on(qtbot, window):
 
 def test_the_drawing_can_be_saved(window, tmp_path):
     for name in ("graph.dot", "graph.svg", "graph.png"):
-        save(window.graph.view.scene(), str(tmp_path / name))
+        save_drawing(window.graph.view.scene(), str(tmp_path / name))
     (graph,) = pydot.graph_from_dot_file(str(tmp_path / "graph.dot"))
     assert {box.get_name() for box in graph.get_subgraphs()} == {
         '"cluster_/field"',
@@ -130,7 +130,7 @@ def test_the_drawing_can_be_saved(window, tmp_path):
     image = QImage(str(tmp_path / "graph.png"))
     assert image.width() > image.height() > 100
     with pytest.raises(OSError):
-        save(window.graph.view.scene(), str(tmp_path / "nowhere" / "graph.png"))
+        save_drawing(window.graph.view.scene(), str(tmp_path / "nowhere" / "graph.png"))
 
 
 def test_a_name_without_an_ending_gets_that_of_what_was_chosen(qtbot, window, tmp_path):

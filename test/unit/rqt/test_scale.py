@@ -9,21 +9,13 @@ import pytest
 from python_qt_binding.QtCore import QObject, QPoint, Qt
 from python_qt_binding.QtGui import QImage, QPalette
 from python_qt_binding.QtWidgets import QToolButton
-from unit.rqt.hands import (
-    button_of,
-    centre_of,
-    click,
-    is_settled,
-    until,
-    vertex_keys,
-    window_of,
-)
+from unit.rqt.hands import button_of, centre_of, click, is_settled, until, vertex_keys, window_of
 
 from dyknow_rqt.canvas import arrows, vertices
 from dyknow_rqt.canvas.overview import FAR
-from dyknow_rqt.canvas.pictures import save
 from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.example_graphs import tree
+from dyknow_rqt.graph_files import save_drawing
 from dyknow_rqt.screenshots import dark_palette
 from dyknow_rqt.window import DyKnowWidget
 
@@ -198,10 +190,10 @@ def test_a_picture_has_names_also_of_what_is_seen_from_far(qtbot, tmp_path):
     window = window_of(qtbot, tree(40), (400, 300))
     until(qtbot, lambda: len(window.graph.drawn.vertices) == 80)
     assert window.graph.view.zoom < FAR
-    save(window.graph.view.scene(), str(tmp_path / "graph.svg"))
+    save_drawing(window.graph.view.scene(), str(tmp_path / "graph.svg"))
     assert "nodelet7" in (tmp_path / "graph.svg").read_text()
     assert window.graph.view.scene().vertices["n_/part0/nodelet0"].is_far
-    save(window.graph.view.scene(), str(tmp_path / "graph.png"))
+    save_drawing(window.graph.view.scene(), str(tmp_path / "graph.png"))
     assert not QImage(str(tmp_path / "graph.png")).isNull()
 
 
@@ -216,7 +208,7 @@ def test_the_view_is_as_before_when_a_picture_has_been_saved(qtbot, shared, tmp_
     view.zoom_by(0.7 * FAR / view.zoom)
     until(qtbot, lambda: is_still() and abs(scene.overview.scale - view.zoom) < 1e-6)
     before = view.viewport().grab().toImage()
-    save(scene, str(tmp_path / name))
+    save_drawing(scene, str(tmp_path / name))
     scene.look_again()
     until(qtbot, is_still)
     assert scene.is_far and abs(scene.zoom - view.zoom) < 1e-6

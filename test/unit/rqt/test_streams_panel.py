@@ -14,7 +14,7 @@ from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_ke
 
 from dyknow.model.graph import State
 from dyknow.model.streams import Replanned, StreamRequest
-from dyknow_rqt.canvas.tones import Tone
+from dyknow_rqt.canvas.appearance import Tone
 from dyknow_rqt.graph.filters import tag_completions
 
 _WEATHER = (
