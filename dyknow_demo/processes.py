@@ -21,7 +21,8 @@ MANAGER = f"{NAMESPACE}/manager"
 
 
 def tell(text: str) -> None:
-    print(text, flush=True)
+    """Print a line, whole also where several threads print."""
+    print(f"{text}\n", end="", flush=True)
 
 
 @contextlib.contextmanager
