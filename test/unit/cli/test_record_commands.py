@@ -129,7 +129,9 @@ def test_a_black_box_is_started_for_some_topics_or_for_none(client):
 
 
 def test_a_black_box_is_started_without_a_name(client):
-    assert "expected it without names" in run(client, "record box --black-box").err
+    refused = run(client, "record box --black-box")
+    assert refused.code == 2
+    assert "expected it without names" in refused.err
 
 
 def test_the_black_boxes_are_those_of_the_manager(monkeypatch):

@@ -185,6 +185,7 @@ def test_a_claim_without_an_answer_ends_with_its_lease(client, monkeypatch):
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf", "fast"])
 def test_what_is_no_rate_is_refused(client, rate):
     refused = run(client, f"{ACQUIRE} --min-rate={rate}")
+    assert refused.code == 2
     assert f"'{rate}': expected Hz above 0, such as 10" in refused.err
 
 

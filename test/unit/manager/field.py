@@ -278,4 +278,6 @@ class Field:
         return [event.reason for event in self.events]
 
     def mended(self) -> List[str]:
-        return [each for each in self.reasons() if each.startswith("mended: ")]
+        found = [each for each in self.reasons() if "mended" in each]
+        assert all(each.startswith("mended: ") for each in found), found
+        return found

@@ -9,12 +9,11 @@ import contextlib
 import json
 import threading
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Iterator, List
 
 import pytest
-from clocks import in_thread, join
+from faulty_disk import kept_aside
 from unit.manager.field import Field
 
 from dyknow.errors import (
@@ -60,7 +59,11 @@ def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -
         for number in range(200):
             claims.change("a", "again", detail=f"{name} {number}")
 
-    join(*[in_thread(partial(work, name)) for name in "xyz"])
+    threads = [threading.Thread(target=work, args=(name,)) for name in "xyz"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
     claims.end("a", ClaimState.RELEASED, "released")
     assert len(events) == 602
     for before, after in zip(events[1:], events[2:]):
@@ -185,6 +188,39 @@ def test_a_lease_that_was_written_without_its_moment_is_as_long_as_it_was() -> N
     body = json.loads(claim.body(WRITTEN))
     del body["written"]
     assert Claim.from_body("c", json.dumps(body), Moment(5.0, 1.0, "later")).deadline == 13.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"claim_id": "other"},
+        {"state": 9},
+        {"left": "long"},
+        {"left": float("nan")},
+        {"wiring": {"/n": "in"}},
+        {"written": {"steady": "x"}},
+        {"written": {"steady": "x", "wall": 1.0, "boot": ""}},
+        {"request": {}},
+        {"request": {"tag": "T("}},
+        {"goal": ["/n"]},
+        {"surprise": 1},
+    ],
+)
+def test_a_claim_that_means_nothing_is_set_aside_and_the_others_are_kept(
+    tmp_path: Path, change: dict[str, object]
+) -> None:
+    path = str(tmp_path / "state")
+    field = Field(path)
+    claim = field.acquire(lease=20.0).claim
+    field.store.close()
+    body = json.dumps({**json.loads(claim.body(WRITTEN)), "claim_id": "bad", **change})
+    with closing(Store(path)) as file:
+        file.write({("claims", "bad"): body})
+    field.open()
+    assert [each.claim_id for each in field.reconciler.claims()] == [claim.claim_id]
+    assert "claims 'bad'" in field.store.complaint
+    (aside,) = kept_aside(path)
+    assert json.loads(aside.read_text())[0]["key"] == "bad"
 
 
 def test_clients_hear_that_a_backup_took_the_place_of_the_state(tmp_path: Path) -> None:
