@@ -215,10 +215,11 @@ class Importer:
         if top in self.modules or top in self._views:
             return True
         if self._found_on != tuple(self.path):
-            self._found_on, self._found = tuple(self.path), {}
-        if top not in self._found:
-            self._found[top] = self._is_own(top) or self._is_in_folders(top)
-        return self._found[top]
+            self._found, self._found_on = {}, tuple(self.path)  # in this order
+        found = self._found  # another thread may replace it
+        if top not in found:
+            found[top] = self._is_own(top) or self._is_in_folders(top)
+        return found[top]
 
     def _is_in_folders(self, top: str) -> bool:
         shared = self._search.union(self._shared_path) - self._folders

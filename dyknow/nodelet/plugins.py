@@ -224,6 +224,8 @@ class ClassImports:
         library_importer: Callable[[Context, str, Package], Importer | None] = lambda *_: None,
     ) -> None:
         self._library_importer = library_importer
+        #: Held where loads at the same time would meet: Python's caches, and the generations.
+        self._lock = state_lock("modules of packages")
         #: By package: stamps of its files, and its modules; None for the process's own.
         self._generations: dict[tuple[str, ...], tuple[Mapping[str, Stamp], Importer | None]] = {}
         CatkinFinder.install()
@@ -255,12 +257,14 @@ class ClassImports:
         top = name.partition(".")[0]
         if top == _OURS:
             return importlib.import_module(name)
-        importlib.invalidate_caches()  # files may be new
+        with self._lock:  # two callers at once may get a KeyError
+            importlib.invalidate_caches()  # files may be new
         package = Package.find(top, library)
         forget_bytecode(package.files.values())
         importer = self._library_importer(context, name, package)
         if importer is None:
-            importer = self._generation(top, package)
+            with self._lock:
+                importer = self._generation(top, package)
         return importlib.import_module(name) if importer is None else importer.import_module(name)
 
     def _generation(self, top: str, package: Package) -> Importer | None:

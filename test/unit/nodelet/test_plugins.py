@@ -8,7 +8,9 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, List
 
@@ -292,6 +294,25 @@ def test_a_changed_file_begins_a_generation_and_unchanged_ones_are_shared(
     package.write("more", "")
     assert package.load(imports) is not second
     assert first.said == "old"
+
+
+def test_nodelets_that_are_loaded_at_the_same_time_share_their_modules(
+    package: Written, monkeypatch: pytest.MonkeyPatch, impatient_interpreter: None
+) -> None:
+    """Python's cache of folders has those without modules too, which every load forgets."""
+    monkeypatch.setattr(sys, "path_importer_cache", dict(sys.path_importer_cache))
+    together = threading.Barrier(8, timeout=60.0)
+
+    def no_importer(*_: Any) -> None:
+        together.wait()
+
+    imports = ClassImports(no_importer)
+    with ThreadPoolExecutor(8) as pool:
+        for turn in range(20):
+            package.write("words", f"word = {turn}")
+            sys.path_importer_cache.update({f"/{turn}/{each}": None for each in range(1000)})
+            loaded = set(pool.map(lambda _: package.load(imports), range(8)))
+            assert [each.said for each in loaded] == [turn]
 
 
 def test_a_changed_file_of_a_large_package_is_used(package: Written) -> None:
