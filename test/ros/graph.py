@@ -342,6 +342,20 @@ def connect(nodelet: str, **ports: str) -> None:
     assert answer.success, answer.message
 
 
+def refusal(nodelet: str, port: str, topic: str) -> str:
+    """Why a topic is refused for its type, which its subscribers have to tell within 0.5 s."""
+    before = topics_of_ports(nodelet)[port]
+    answers = []
+
+    def is_refused() -> bool:
+        connect(nodelet, **{port: before})
+        answers.append(set_config(nodelet, **{port: topic}))
+        return not answers[-1].success
+
+    eventually(is_refused, 5.0, f"{topic} is refused")
+    return str(answers[-1].message)
+
+
 def set_config_pairs(nodelet: str, *pairs: tuple[str, str]) -> Any:
     return rospy.ServiceProxy(f"{nodelet}/set_config", SetConfig)(
         [PortConfig(port, topic) for port, topic in pairs]

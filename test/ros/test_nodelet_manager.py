@@ -20,7 +20,7 @@ import rospy
 import test_nodelet_command
 from dyknow_msgs.msg import NodeletChanges
 from dyknow_test.puppet import Echo
-from graph import Heard, Manager, NodeletManagerCase, call, registrations, set_config
+from graph import Heard, Manager, NodeletManagerCase, call, refusal, registrations, set_config
 from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from processes import BUSY, NODELET, STOCK_NODELET, TellingCase, becomes, eventually, nodes, run
 from roslib.packages import find_node
@@ -189,8 +189,7 @@ class RefusalTest(RobotCase):
         ):
             other = make()
             eventually(lambda role=role: graph.nodes_on("/outside")[role], 5.0, "registered")
-            answer = set_config("/n", **{port: "/outside"})
-            self.assertIn("'/outside' carries std_msgs/String", answer.message)
+            self.assertIn("'/outside' carries std_msgs/String", refusal("/n", port, "/outside"))
             self.assertEqual(graph.topics_of_ports("/n"), {"in": "/a", "out": "/b"})
             other.unregister()
         becomes(lambda: graph.nodes_on("/outside"), (set(), set()))

@@ -339,7 +339,7 @@ class CommandTest(graph.TellingCase):
 
     def test_last_words_are_sent_alone(self):
         node = self.run_script("habits.py", "spin", "__name:=habits")
-        rospy.wait_for_service("/habits/get_statistics", 40.0 * BUSY)
+        becomes(lambda: rospy.get_param("/habits/remapped", None), ["camera", "lamp"], 40.0)
         with words_on("/habits/words") as heard:
             node.stop(signal.SIGTERM)
             self.assertEqual(node.exit_code(20.0), 0)
