@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import signal
 import sys
@@ -30,6 +31,8 @@ from dyknow.ros.process.os_process import ProcessId, only_for_owner
 #: Seconds that an owner waits for its predecessor to be gone altogether.
 _CONTENTION = 1.0
 _STEP = 0.02
+#: Seconds between two looks for an owner that returns, at most.
+_LOOK = 1.0
 #: Seconds that a nodelet manager without an owner has to end by itself.
 PATIENCE = 3.0
 
@@ -72,16 +75,16 @@ class OwnerLock:
 
 
 def wait_until_orphaned(path: str, timeout: float) -> None:
-    """Return when the lock was free, or the file gone, for ``timeout`` seconds."""
+    """Return when there was no owner at any look in ``timeout`` seconds, and after them."""
+    looks = math.ceil(timeout / _LOOK)
     while True:
         with contextlib.suppress(FileNotFoundError), open(path) as file:
             _lock(file, fcntl.LOCK_SH)  # blocks as long as there is an owner
-        time.sleep(timeout)
-        try:
-            with open(path) as file:
-                if _lock(file, fcntl.LOCK_SH | fcntl.LOCK_NB):
-                    return
-        except FileNotFoundError:
+        for _ in range(looks):
+            time.sleep(timeout / looks)
+            if is_taken(path):
+                break
+        else:
             return
 
 

@@ -153,6 +153,7 @@ def test_processes_are_known_by_their_environment(tmp_path):
 
 
 def test_an_owner_that_returns_in_time_is_an_owner(tmp_path, monkeypatch):
+    """Also if it goes again: its time is counted from then on."""
     asleep, awake, looks = queue.SimpleQueue(), queue.SimpleQueue(), queue.SimpleQueue()
     lock, path = owner_module._lock, str(tmp_path / "lock")
 
@@ -171,13 +172,14 @@ def test_an_owner_that_returns_in_time_is_an_owner(tmp_path, monkeypatch):
     monkeypatch.setattr(owner_module, "time", clock)
     monkeypatch.setattr(owner_module, "_lock", look)
     waiter = in_thread(lambda: wait_until_orphaned(path, 3.0))
-    for returns in (True, False):
-        owner.release()
-        assert asleep.get(timeout=PATIENCE) == 3.0
+    owner.release()
+    for returns in (False, True, False, False, False):
+        assert asleep.get(timeout=PATIENCE) == 1.0
         if returns:
             owner = OwnerLock(path)
         awake.put(None)
         assert looks.get(timeout=PATIENCE) is not returns
+        owner.release()
     join(waiter)
     with open(path) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process holds it
