@@ -14,11 +14,15 @@ sends back the clock of the last answer that it received. However late a renewal
 lease ends no later than the manager knows. The clock runs on while the process is stopped, and is
 read when a message is published, so a process that goes on after a pause sends nothing first.
 
-A manager that was killed, is being restarted or is stopped replaces nothing either. Shortly before
-a lease runs out, this process probes the manager's host: one that refuses the connection, or
-takes it and does not answer, has no manager at work, and the lease is extended. A silent host may
-be cut off. Only the manager renews a lease that has run out. It names the nodelets that are to
-publish; the other nodelets stay silent on these topics.
+A manager that was killed, is being restarted or is stopped replaces nothing either. When renewals
+stay away, this process probes the manager's host: one that refuses the connection, or takes it and
+does not answer, has no manager at work, and the lease is extended. A silent host may be cut off.
+An extension ends before a manager that goes on, or the next one, may judge that the lease is over,
+so the process must not be held up for longer than that while the manager is away. A manager that
+ends on purpose and leaves the streams as they are grants as long a lease.
+
+Only the manager renews a lease that has run out. It names the nodelets that are to publish; the
+other nodelets stay silent on these topics.
 """
 
 from __future__ import annotations
@@ -33,18 +37,25 @@ from dyknow import names
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
 
-#: Seconds before the end of a lease from which the manager's host is probed.
-PROBE_AHEAD = 1.2
-#: Seconds, from the probe on, by which a lease is extended if no manager is at work.
-EXTENSION = 1.5
+#: Seconds that a lease holds, except the last one of a manager that ends on purpose.
+DURATION = 2.0
+#: Seconds without a renewal after which the manager's host is probed.
+PROBE_AFTER = 0.8
+#: Seconds from a probe that extends a lease to the next one.
+PROBE_AGAIN = 0.3
 
 
 class Sight(enum.Enum):
     """The result of probing a manager's host."""
 
     AT_WORK = enum.auto()
-    NOT_AT_WORK = enum.auto()
+    STOPPED = enum.auto()  # it does not answer, and may go on at any moment
+    GONE = enum.auto()  # nothing listens there; the next manager has another address
     SILENT = enum.auto()
+
+
+#: Seconds, from the probe on, by which a lease is extended if no manager is at work.
+EXTENSIONS: Mapping[Sight, float] = {Sight.STOPPED: 1.5, Sight.GONE: 8.0}
 
 
 def suspended_clock() -> float:
@@ -59,12 +70,14 @@ class _Lease:
     Attributes:
         uri: address of the manager's node.
         until: when it runs out.
+        probed_from: when the manager's host is to be probed.
         producers: by topic of a claim, the nodelet that publishes there.
         fenced: nodelets, each with a topic, that were replaced while the lease had run out.
     """
 
     uri: str
     until: float
+    probed_from: float
     producers: Mapping[str, str]
     fenced: frozenset[tuple[str, str]]
 
@@ -103,10 +116,13 @@ class Leases:
         """Take a renewal by a manager, the node at ``uri``; return the time of our clock.
 
         The lease runs out ``duration`` seconds after ``confirmed``, the result of an earlier call
-        (0: none is answered yet). ``producers`` has the nodelet that publishes on each topic of a
-        claim; without any the lease ends, and fences none.
+        (0: none is answered yet), or when the one before it runs out, but no later than so many
+        seconds from now: the manager counts from our answer. ``producers`` has the nodelet that
+        publishes on each topic of a claim; without any the lease ends, and fences none.
         """
         now = self._clock()
+        if now > confirmed + PROBE_AFTER:  # of a manager that has gone, perhaps, while we stood
+            duration = min(duration, DURATION)
         present = {
             (name, topic)
             for topic in producers
@@ -122,9 +138,12 @@ class Leases:
                 if known is not None:
                     # Once it has run out, replaced parts may be among those that publish.
                     fenced = {*known.fenced, *(present if known.until < now else ())}
-                    until = max(until, known.until)
+                    until = max(until, min(known.until, now + duration))
                 still = ((n, t) for n, t in fenced & present if producers.get(t, n) != n)
-                self._leases[manager] = _Lease(uri, until, dict(producers), frozenset(still))
+                probed_from = until - duration + PROBE_AFTER
+                self._leases[manager] = _Lease(
+                    uri, until, probed_from, dict(producers), frozenset(still)
+                )
             topics = frozenset(t for each in self._leases.values() for t in each.producers)
             is_new, self._topics = topics != self._topics, topics
         while is_new:
@@ -148,12 +167,13 @@ class Leases:
         """Extend leases that are about to run out, where ``probe`` sees no manager at work."""
         now = self._clock()
         for lease in tuple(self._leases.values()):
-            if not now < lease.until < now + PROBE_AHEAD:
+            if not lease.probed_from < now < lease.until:
                 continue
-            sight = probe(lease.uri)
+            extension = EXTENSIONS.get(probe(lease.uri), 0.0)
             with self._state_lock:
-                if sight is Sight.NOT_AT_WORK and self._clock() < lease.until:
-                    lease.until = max(lease.until, now + EXTENSION)
+                if extension and self._clock() < lease.until:
+                    lease.until = max(lease.until, now + extension)
+                    lease.probed_from = now + PROBE_AGAIN
 
 
 def _forms_of(topic: str) -> list[str]:

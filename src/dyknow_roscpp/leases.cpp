@@ -111,44 +111,48 @@ private:
   const int descriptor_;
 };
 
-/// Whether a manager's host answers, but the manager does not: it was killed or stopped.
-bool isNotAtWork(const std::string& uri)
+/// By how much a lease is extended: a manager's host answers, but the manager does not. It was killed or stopped.
+double extensionFor(const std::string& uri)
 {
   std::string host;
   std::uint32_t port = 0;
   if (!ros::network::splitURI(uri, host, port))
   {
-    return false;
+    return 0.0;
   }
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;
   addrinfo* found = nullptr;
   if (getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found) != 0)
   {
-    return false;
+    return 0.0;
   }
   const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> addresses(found, freeaddrinfo);
   const std::string body = "<?xml version='1.0'?><methodCall><methodName>getPid</methodName><params><param>"
                            "<value><string>" +
                            ros::this_node::getName() + "</string></value></param></params></methodCall>";
-  bool is_refused = false;
+  double extension = 0.0;
   for (const addrinfo* each = found; each != nullptr; each = each->ai_next)
   {
     const Socket socket(*each);
     const int error = socket.connectTo(*each);
     if (error == 0)
     {
-      return !socket.isAnswered("POST /RPC2 HTTP/1.0\r\nHost: " + host +
-                                "\r\nContent-Type: text/xml\r\nContent-Length: " +
-                                std::to_string(body.size()) + "\r\n\r\n" + body);
+      const bool is_at_work = socket.isAnswered("POST /RPC2 HTTP/1.0\r\nHost: " + host +
+                                                "\r\nContent-Type: text/xml\r\nContent-Length: " +
+                                                std::to_string(body.size()) + "\r\n\r\n" + body);
+      return is_at_work ? 0.0 : shared::LEASE_EXTENSION_STOPPED;
     }
     if (error == ETIMEDOUT)
     {
-      return false;  // at once, as the time is up
+      return 0.0;  // at once, as the time is up
     }
-    is_refused = is_refused || error == ECONNREFUSED || error == ECONNRESET;
+    if (error == ECONNREFUSED || error == ECONNRESET)
+    {
+      extension = error == ECONNREFUSED ? shared::LEASE_EXTENSION_GONE : shared::LEASE_EXTENSION_STOPPED;
+    }
   }
-  return is_refused;
+  return extension;
 }
 
 }  // namespace
@@ -170,6 +174,10 @@ void Leases::renew(const std::string& manager, const std::string& uri, double co
                    const Producers& producers)
 {
   const double moment = clock();
+  if (moment > confirmed + shared::LEASE_PROBE_AFTER)  // of a manager that has gone, perhaps, while we stood
+  {
+    duration = std::min(duration, shared::LEASE_DURATION);
+  }
   const auto present = publishing(producers);
   std::lock_guard<std::mutex> lock(state_lock_);
   const auto known = leases_.find(manager);
@@ -179,7 +187,7 @@ void Leases::renew(const std::string& manager, const std::string& uri, double co
   }
   else if (known != leases_.end() || confirmed > 0.0)
   {
-    Lease lease{uri, confirmed + duration, producers, {}};
+    Lease lease{uri, confirmed + duration, 0.0, producers, {}};
     if (known != leases_.end())
     {
       const bool has_run_out = known->second.until < moment;  // replaced parts are among those that publish
@@ -191,8 +199,9 @@ void Leases::renew(const std::string& manager, const std::string& uri, double co
           lease.fenced.insert(each);
         }
       }
-      lease.until = std::max(lease.until, known->second.until);
+      lease.until = std::max(lease.until, std::min(known->second.until, moment + duration));
     }
+    lease.probed_from = lease.until - duration + shared::LEASE_PROBE_AFTER;
     leases_[manager] = lease;
     if (!is_watched_)
     {
@@ -227,7 +236,7 @@ void Leases::watch()
       std::lock_guard<std::mutex> lock(state_lock_);
       for (const auto& each : leases_)
       {
-        if (moment < each.second.until && each.second.until < moment + shared::LEASE_PROBE_AHEAD)
+        if (each.second.probed_from < moment && moment < each.second.until)
         {
           due.emplace(each.first, each.second.uri);
         }
@@ -235,15 +244,17 @@ void Leases::watch()
     }
     for (const auto& each : due)
     {
-      if (!isNotAtWork(each.second))
+      const double extension = extensionFor(each.second);
+      if (extension <= 0.0)
       {
         continue;
       }
       std::lock_guard<std::mutex> lock(state_lock_);
       const auto lease = leases_.find(each.first);
-      if (lease != leases_.end() && clock() < lease->second.until)
+      if (lease != leases_.end() && lease->second.uri == each.second && clock() < lease->second.until)
       {
-        lease->second.until = std::max(lease->second.until, moment + shared::LEASE_EXTENSION);
+        lease->second.until = std::max(lease->second.until, moment + extension);
+        lease->second.probed_from = moment + shared::LEASE_PROBE_AGAIN;
       }
     }
   }

@@ -41,6 +41,7 @@ private:
   {
     std::string uri;
     double until = 0.0;
+    double probed_from = 0.0;
     Producers producers;
     std::set<std::pair<std::string, std::string>> fenced;  ///< nodelets, each with a topic, that were replaced
   };

@@ -47,6 +47,7 @@ from std_srvs.srv import Trigger
 from dyknow import errors
 from dyknow.errors import HostError
 from dyknow.guards import NOT_REWIRABLE, Guards
+from dyknow.nodelet import leases
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
@@ -638,20 +639,24 @@ class RewirableTest(TellingCase):
 class LeaseTest(CppCase):
     """Which messages pass on a topic of a claim, by the leases that a DyKnow manager grants."""
 
-    def lease(self, duration: float, nodelet: str = "/source", host: str = "", **request) -> None:
+    def lease(
+        self, duration: float, nodelet: str = "/source", host: str = "", port: str = "", **request
+    ) -> None:
         """Grant a lease for so many seconds, in which a nodelet publishes on ``/claim``."""
         uri = urlsplit(rospy.get_node_uri())
         request.setdefault("topics", ["/claim"])
         request.setdefault("nodelets", [nodelet])
-        uri = uri._replace(netloc=f"{host or uri.hostname}:{uri.port}").geturl()
+        uri = uri._replace(netloc=f"{host or uri.hostname}:{port or uri.port}").geturl()
         clock = 0.0
         with contextlib.closing(
             PollClient(Master("/dyknow_manager"), self.manager.name, False)
         ) as client:
-            for _ in range(2):  # the first answer has the clock that the second request confirms
+            while True:  # until a request confirms the clock that an answer has just had
                 answer = client.ask(
                     5.0 * BUSY, uri=uri, confirmed=clock, duration=duration, **request
                 )
+                if answer.clock < clock + leases.PROBE_AFTER:
+                    break
                 clock = answer.clock
 
     def end_lease(self) -> None:
@@ -677,6 +682,22 @@ class LeaseTest(CppCase):
         self.lease(60.0, "/another")  # which has replaced it meanwhile
         self.sends(3)
         self.assertEqual(self.dropped(), 2)
+
+    def test_a_process_that_is_held_up_while_its_manager_is_gone_goes_on(self):
+        self.load("Source", "out", "/claim", count=1)
+        sent = itertools.count(1)
+
+        def goes_on() -> bool:
+            self.end_lease()
+            self.lease(2.0, port=free_port())
+            time.sleep(2.5)  # it is extended, unless the process is held up already
+            before = self.dropped()
+            with suspended(self.manager.pid):
+                time.sleep(3.0)
+            self.sends(next(sent))
+            return self.dropped() == before
+
+        eventually(goes_on, 20.0, "it publishes after three seconds")
 
     def test_a_latched_message(self):
         """The last one that passed is kept for subscribers to come."""

@@ -10,10 +10,13 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Mapping, Sequence
 
 from dyknow.guards import NO_GUARDS, Guards
+from dyknow.nodelet.leases import DURATION
 from dyknow.ros.wire.master import Master
 
-#: Seconds that a lease holds.
-DURATION = 2.0
+#: Seconds after our start until which one may hold that was extended while no manager was there.
+YOUTH = 10.0
+#: Seconds that the last one holds which we grant before we end and leave the streams as they are.
+PARTING = 8.0
 
 
 @dataclass(eq=False)
@@ -48,7 +51,7 @@ class PeerContext:
     @property
     def is_young(self) -> bool:
         """Whether a lease may still hold that an earlier life of the manager granted."""
-        return self.running() - self.began < DURATION
+        return self.running() - self.began < YOUTH
 
 
 class Lease:
@@ -61,7 +64,7 @@ class Lease:
     def __init__(self, context: PeerContext) -> None:
         """Grant none yet."""
         self._context = context
-        #: When it was answered last, or granted: an earlier life may have done that just before.
+        #: When it was answered last. At first, that if one of an earlier life ended at the latest.
         self._answered: float | None = None
         self._clock = 0.0
         self._is_out = False
@@ -86,21 +89,29 @@ class Lease:
     def grant(self) -> None:
         """Renew it with each poll from now on."""
         if self._answered is None:
-            self._answered = self._context.running()
+            earlier = self._context.began + YOUTH - DURATION
+            self._answered = max(earlier, self._context.running())
 
     def renewal(self) -> dict[str, object]:
         """Return the fields of a poll that renew it; empty if it is not granted."""
         return self._request(self._context.producers) if self.is_granted else {}
 
+    def parting(self) -> dict[str, object]:
+        """Return the fields of our last poll, which renew it; empty if it is not granted."""
+        return {**self.renewal(), "duration": PARTING} if self.is_granted else {}
+
     def release(self) -> dict[str, object]:
         """Return the fields of a poll that take it back."""
         return self._request({})
 
-    def answered(self, clock: float) -> None:
+    def note_clock(self, clock: float) -> None:
         """Note an answer, with the clock of the process."""
         self._clock = clock
-        if self._answered is not None:
-            self._answered = self._context.running()
+
+    def answered(self, clock: float) -> None:
+        """Note the answer to a renewal, with the clock of the process."""
+        self._clock = clock
+        self._answered = self._context.running()
 
     def forget_clock(self) -> None:
         """Start again with another process, which has another clock."""

@@ -402,6 +402,11 @@ class RosHost(Host):
         for external in self._external.all():
             external.release()
 
+    def part(self) -> None:
+        """Let the streams go on as they are until the next manager comes."""
+        for peer in self._peers():
+            peer.part()
+
     # Inside
 
     def _peers(self) -> builtins.list[Peer]:

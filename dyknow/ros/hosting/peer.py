@@ -216,12 +216,23 @@ class Peer(ABC):
 
     def release(self) -> None:
         """Take its lease and its guards back, so that it goes on without us."""
+        no_guards = [guards_message(NO_GUARDS)] if self._guards else []
+        self._ask_last(guards=no_guards, **self.lease.release())
+
+    def part(self) -> None:
+        """Let its streams go on as they are until the next manager comes."""
+        answer = self._ask_last() if self.lease.is_granted else None
+        if answer is not None:
+            self.lease.note_clock(answer.clock)  # it is to be fresh
+            self._ask_last(**self.lease.parting())
+
+    def _ask_last(self, **request: Any) -> PollResponse | None:
         self.loop.close(POLL_TIMEOUT)  # a renewal must not come after it
         client, known = self._client, self.presence
         if client is not None and not known.trouble:
             with contextlib.suppress(HostError, PeerTimeout):
-                no_guards = [guards_message(NO_GUARDS)] if self._guards else []
-                client.ask(POLL_TIMEOUT, guards=no_guards, **self.lease.release())
+                return client.ask(POLL_TIMEOUT, **request)
+        return None
 
     def close(self) -> None:
         """Close the loop and the connections; the process goes on."""
@@ -281,7 +292,7 @@ class Peer(ABC):
         with self._state_lock:
             self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
         if not client.is_stock:
-            self.lease.answered(answer.clock)
+            self.lease.note_clock(answer.clock)
 
     def _let_go(self, client: PollClient | None) -> None:
         """Replace the connection, which may be to a process that bears the name no more."""
@@ -295,11 +306,10 @@ class Peer(ABC):
         handed = [guards] if guards != self._guards else []
         is_traffic, self._is_traffic_wanted = self._is_traffic_wanted, False
         asked_for = sorted({*counted, *self.presence.nodelets}) if is_traffic else counted
+        renewal = self.lease.renewal()
         began = self._meter.begin()
         try:
-            answer = client.ask(
-                POLL_TIMEOUT, counted=asked_for, guards=handed, **self.lease.renewal()
-            )
+            answer = client.ask(POLL_TIMEOUT, counted=asked_for, guards=handed, **renewal)
         except (HostError, PeerTimeout) as error:
             if isinstance(error, HostError):
                 self._note_counts(dict.fromkeys(counted))
@@ -307,7 +317,7 @@ class Peer(ABC):
             return
         self._guards = guards
         if not client.is_stock:
-            self.lease.answered(answer.clock)
+            (self.lease.answered if renewal else self.lease.note_clock)(answer.clock)
             if answer.machine.cores:
                 self._meter.add(began, answer.machine.stamp)
         with self._state_lock:

@@ -264,6 +264,8 @@ class ManagerNode(Closable):
             self._wiring.forget()
             self.manager.end()
             self._host.release()
+        elif keeps:
+            self._host.part()
         if not self.leaves:
             self._forget_parameters()
         self._host.close()

@@ -141,8 +141,10 @@ def probe(uri: str) -> Sight:
             return _query(connection, host)
     except socket.timeout:
         return Sight.SILENT
+    except ConnectionRefusedError:
+        return Sight.GONE
     except ConnectionError:
-        return Sight.NOT_AT_WORK  # nothing listens there
+        return Sight.STOPPED
     except (OSError, ValueError):
         return Sight.SILENT
 
@@ -153,9 +155,9 @@ def _query(connection: socket.socket, host: str) -> Sight:
     connection.settimeout(PATIENCE)
     try:
         connection.sendall(f"{head}Content-Length: {len(body)}\r\n\r\n{body}".encode())
-        return Sight.AT_WORK if connection.recv(1) else Sight.NOT_AT_WORK
+        return Sight.AT_WORK if connection.recv(1) else Sight.STOPPED
     except (socket.timeout, ConnectionError):
-        return Sight.NOT_AT_WORK
+        return Sight.STOPPED
 
 
 def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:

@@ -19,10 +19,11 @@ from dyknow.errors import HostError, HostTimeout
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.host import Reported
 from dyknow.model.graph import NodeletKind, PortState
+from dyknow.nodelet.leases import DURATION
 from dyknow.periodic import LONGEST_TICK, RunningClock
-from dyknow.ros.hosting import external, grants
+from dyknow.ros.hosting import external
 from dyknow.ros.hosting.external import External, Externals
-from dyknow.ros.hosting.grants import DURATION, Lease, PeerContext
+from dyknow.ros.hosting.grants import PARTING, YOUTH, Lease, PeerContext
 from dyknow.ros.hosting.host import RosHost
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import guards_message
@@ -230,8 +231,10 @@ def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(
     eventually(lambda: len([each for each in requests if each.duration]) > 2)
     assert (requests[-1].topics, requests[-1].nodelets) == (["/topic"], ["/a"])
     assert {each.confirmed for each in requests if each.duration} == {1.0}
+    peer.part()
+    assert (requests[-1].topics, requests[-1].duration) == (["/topic"], PARTING)
     peer.release()
-    assert (requests[-1].topics, requests[-1].duration) == ([], grants.DURATION)
+    assert (requests[-1].topics, requests[-1].duration) == ([], DURATION)
 
 
 def test_guards_are_handed_over_once_and_when_they_change(graph, peer):
@@ -390,11 +393,12 @@ def lease(clock):
 
 def test_a_renewal_confirms_the_last_answer_of_the_same_process():
     kept = lease(HandClock())
-    kept.answered(5.0)
-    assert kept.renewal() == {}
+    kept.note_clock(5.0)
+    assert kept.renewal() == {} == kept.parting()
     kept.grant()
     kept.answered(6.0)
     assert kept.renewal()["confirmed"] == 6.0
+    assert kept.parting() == {**kept.renewal(), "duration": PARTING}
     kept.forget_clock()
     assert kept.renewal()["confirmed"] == 0.0
 
@@ -404,7 +408,7 @@ def test_a_lease_is_out_when_it_was_not_answered_for_its_duration():
     clock = HandClock()
     kept = lease(clock)
     assert kept.may_be_held
-    clock.time = DURATION
+    clock.time = YOUTH
     assert not kept.may_be_held and kept.has_just_run_out()
     kept.grant()
     clock.time += DURATION - 0.1
