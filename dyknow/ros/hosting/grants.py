@@ -15,7 +15,7 @@ from dyknow.ros.wire.master import Master
 
 #: Seconds after our start until which one may hold that was extended while no manager was there.
 YOUTH = 10.0
-#: Seconds that the last one holds which we grant before we end and leave the streams as they are.
+#: Seconds that those hold which we grant at our end, to leave the streams as they are.
 PARTING = 8.0
 
 
@@ -67,6 +67,7 @@ class Lease:
         #: When it was answered last. At first, that if one of an earlier life ended at the latest.
         self._answered: float | None = None
         self._clock = 0.0
+        self._duration = DURATION
         self._is_out = False
 
     @property
@@ -96,9 +97,9 @@ class Lease:
         """Return the fields of a poll that renew it; empty if it is not granted."""
         return self._request(self._context.producers) if self.is_granted else {}
 
-    def parting(self) -> dict[str, object]:
-        """Return the fields of our last poll, which renew it; empty if it is not granted."""
-        return {**self.renewal(), "duration": PARTING} if self.is_granted else {}
+    def part(self) -> None:
+        """Renew it for longer from now on: we end, and the next manager may come late."""
+        self._duration = PARTING
 
     def release(self) -> dict[str, object]:
         """Return the fields of a poll that take it back."""
@@ -122,7 +123,7 @@ class Lease:
         return {
             "uri": self._context.uri,
             "confirmed": self._clock,
-            "duration": DURATION,
+            "duration": self._duration,
             "topics": topics,
             "nodelets": [producers[topic] for topic in topics],
         }

@@ -43,7 +43,7 @@ from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
 from dyknow.ros.hosting.message_counter import MessageCounter
-from dyknow.ros.hosting.peer import Peer, host_errors
+from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, host_errors
 from dyknow.ros.hosting.reconfigure import reconfigure
 from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.nodelets.hand_over_service import SERVICE
@@ -404,8 +404,13 @@ class RosHost(Host):
 
     def part(self) -> None:
         """Let the streams go on as they are until the next manager comes."""
-        for peer in self._peers():
-            peer.part()
+        granted = [each for each in self._peers() if each.lease.is_granted]
+        for peer in granted:
+            peer.lease.part()
+        deadline = time.monotonic() + 2 * POLL_TIMEOUT
+        for _ in range(2):  # the second has the clock of the answer to the first
+            for peer, number in [(each, each.wake()) for each in granted]:
+                peer.wait(number, deadline)
 
     # Inside
 

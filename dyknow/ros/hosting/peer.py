@@ -131,6 +131,10 @@ class Peer(ABC):
         """Ask for a poll that begins from now on, and return its number."""
         return self.loop.wake(self._key)
 
+    def wait(self, number: int, deadline: float) -> None:
+        """Wait for a poll that ``wake`` has requested."""
+        self.loop.wait_for(self._key, number, max(0.0, deadline - time.monotonic()))
+
     def nodelets(
         self, number: int | None = None, incarnation: str = ""
     ) -> Mapping[str, Reported | None]:
@@ -207,7 +211,7 @@ class Peer(ABC):
 
     def traffic(self, number: int, deadline: float) -> Sequence[NodeletCounts]:
         """Return these counts as they came; the next time if they come later."""
-        self.loop.wait_for(self._key, number, max(0.0, deadline - time.monotonic()))
+        self.wait(number, deadline)
         with self._state_lock:
             found, self._traffic = self._traffic, ()
         return found
@@ -216,23 +220,12 @@ class Peer(ABC):
 
     def release(self) -> None:
         """Take its lease and its guards back, so that it goes on without us."""
-        no_guards = [guards_message(NO_GUARDS)] if self._guards else []
-        self._ask_last(guards=no_guards, **self.lease.release())
-
-    def part(self) -> None:
-        """Let its streams go on as they are until the next manager comes."""
-        answer = self._ask_last() if self.lease.is_granted else None
-        if answer is not None:
-            self.lease.note_clock(answer.clock)  # it is to be fresh
-            self._ask_last(**self.lease.parting())
-
-    def _ask_last(self, **request: Any) -> PollResponse | None:
         self.loop.close(POLL_TIMEOUT)  # a renewal must not come after it
         client, known = self._client, self.presence
         if client is not None and not known.trouble:
             with contextlib.suppress(HostError, PeerTimeout):
-                return client.ask(POLL_TIMEOUT, **request)
-        return None
+                no_guards = [guards_message(NO_GUARDS)] if self._guards else []
+                client.ask(POLL_TIMEOUT, guards=no_guards, **self.lease.release())
 
     def close(self) -> None:
         """Close the loop and the connections; the process goes on."""

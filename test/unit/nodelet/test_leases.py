@@ -242,7 +242,8 @@ class World:
         if is_there and not self.is_there:
             self.be_born()
         if self.is_there and not is_there and self.random.random() < 0.5:  # on purpose
-            self.requests.append((now, self.lives, self.lease.parting()))
+            self.lease.part()
+            self.requests.append((now, self.lives, self.lease.renewal()))
         self.is_there = is_there
         is_answered = self.running - self.heard < 0.25
         is_stopped = self.is_within("stop", 0.03 * is_answered, 12.0)
