@@ -575,7 +575,10 @@ class RefusalTest(CppCase):
             publisher.unregister()
             self.enter(Heard(topic, present))
             becomes(lambda t=topic: [len(each) for each in graph.nodes_on(t)], [0, 1])
-        self.assertIn("'/two' carries std_msgs/String", refusal("/n", "out", "/two"))
+        problem = errors.TypeMismatch("/two", "std_msgs/Header (port 'out')", "std_msgs/String")
+        refused = errors.InvalidConfiguration("/n", [problem])
+        self.assertEqual(refusal("/n", "out", "/two"), str(refused))
+        self.assertEqual(topics_of_ports("/n"), {"out": "/a"})
         connect("/n", out="/one")
 
     def test_nodes_that_answer_wrongly(self):
