@@ -210,8 +210,7 @@ class World:
         self.process = Process()
         self.running = self.heard = 0.0  # of managers
         self.lives = 0
-        self.begins = {"birth": 0.0, "death": 0.0, "pause": 0.0, "stop": 0.0, "loss": 0.0}
-        self.ends = dict.fromkeys(self.begins, 0.0)
+        self.ends = dict.fromkeys(("death", "pause", "stop", "loss"), 0.0)
         self.requests: List[Tuple[float, int, Dict[str, Any]]] = []
         self.answers: List[Tuple[float, int, float]] = []
         self.is_there = False
