@@ -37,7 +37,7 @@ from dyknow import names
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
 
-#: Seconds that a lease holds, except the last one of a manager that ends on purpose.
+#: Seconds that a lease holds; a manager that ends on purpose grants longer ones.
 DURATION = 2.0
 #: Seconds without a renewal after which the manager's host is probed.
 PROBE_AFTER = 0.8

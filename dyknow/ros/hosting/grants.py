@@ -111,7 +111,7 @@ class Lease:
 
     def answered(self, clock: float) -> None:
         """Note the answer to a renewal, with the clock of the process."""
-        self._clock = clock
+        self.note_clock(clock)
         self._answered = self._context.running()
 
     def forget_clock(self) -> None:
