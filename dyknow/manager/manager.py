@@ -211,7 +211,6 @@ class Manager:
         resolved = [(self.resolve(name), config) for name, config in moves]
         for name, _ in resolved:
             self.guards.check_writable(f"connecting '{name}'")
-            self.graph.get(name)
         with self.graph.changing_all({name for name, _ in resolved}):
             checked = [self._checked(name, config) for name, config in resolved]
             steps = [

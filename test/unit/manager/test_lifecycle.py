@@ -153,6 +153,23 @@ def test_a_nodelet_that_is_being_made_is_destroyed_once_it_is_there() -> None:
     assert nothing_left(world, "/front")
 
 
+def test_a_nodelet_that_is_being_made_is_connected_once_it_is_there() -> None:
+    clock = SteppedClock()
+    world = World(clock=clock)
+    connecting: list[threading.Thread] = []
+
+    def connect(what: str, argument: str) -> None:
+        if what == "ensure":
+            move = ("front", {"image": "/pictures"})
+            connecting.append(in_thread(lambda: world.manager.connect([move])))
+            clock.settle()
+
+    world.host.fail = connect
+    world.spawn("camera", "front", isolated=True)
+    join(*connecting)
+    assert world.manager.graph.get("/front").status.connections == {"image": "/pictures"}
+
+
 def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
     first = world.host.ensure(NodeletKind.PYTHON)
     second = world.host._start("/second", NodeletKind.PYTHON, "")
