@@ -283,7 +283,7 @@ def _run(arguments: argparse.Namespace) -> int:
         import dyknow.ros.lean  # noqa: F401
         from dyknow.ros.shell.shell_client import ShellClient
 
-        return ShellClient(arguments.manager_node, arguments.timeout)
+        return ShellClient(arguments.manager_node, arguments.timeout, shell.tell_wait)
 
     shell = Shell(connect, arguments.json)
     # The client's warnings are the command's.

@@ -147,6 +147,11 @@ class Shell:
         self.show({done: acted, "failed": failed}, lines, indent)
         return FAILED if failed else None
 
+    def tell_wait(self, service: str) -> None:
+        """Say on a terminal that the answer of a service takes long."""
+        if self.err.isatty():
+            self.error(f"still waiting for {service}")
+
     def error(self, message: object) -> None:
         self.err.write(f"dyknow: {message}\n")
 

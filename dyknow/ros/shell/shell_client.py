@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import re
 import socket
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Callable, Collection, Sequence, TypeVar
@@ -39,6 +40,8 @@ _UNSET = object()
 
 #: Seconds that a node may take to say how it is connected, and nodes that are queried at once.
 _LOOK, _WORKERS = 1.0, 16
+#: Seconds without an answer after which the user is told.
+_SILENCE = 3.0
 #: The service of a black box, and seconds that a bag may take.
 _WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
@@ -70,12 +73,24 @@ class ShellClient(ManagerClient):
     not.
     """
 
-    def __init__(self, manager: str, timeout: float | None = None) -> None:
-        """Prepare calls with a ``timeout`` in seconds; None for one that suits the question."""
+    def __init__(
+        self,
+        manager: str,
+        timeout: float | None = None,
+        on_wait: Callable[[str], object] = lambda service: None,
+    ) -> None:
+        """Prepare calls.
+
+        Args:
+            manager: the manager's node.
+            timeout: seconds for an answer; None for a time that suits the question.
+            on_wait: called with a service, in another thread, when its answer takes long.
+        """
         super().__init__(manager, f"/dyknow_{os.getpid()}")
         #: Where relative names of nodelets begin.
         self.namespace = names.parent(manager)
         self._timeout = timeout
+        self._on_wait = on_wait
         self._master = Master(self._master.caller, timeout=min(timeout or TIMEOUT, TIMEOUT))
         self._master_seen = False
 
@@ -181,6 +196,9 @@ class ShellClient(ManagerClient):
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
+        notice = threading.Timer(_SILENCE, self._on_wait, [service])
+        notice.daemon = True
+        notice.start()
         try:
             return super()._call(service, kind, seconds, *request, **options)
         except ServiceFailed as error:
@@ -193,6 +211,8 @@ class ShellClient(ManagerClient):
                 f"did not answer within {seconds:g} s" if is_late else f"does not answer: {error}"
             )
             raise NodeletUnreachable(f"nodelet '{owner}' {why}") from error
+        finally:
+            notice.cancel()
 
     def _topic(self, name: str, message_class: Any) -> TopicReader:
         """Connect to a topic of the manager."""

@@ -8,8 +8,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import threading
+from types import SimpleNamespace
 
 import pytest
+from clocks import wait_for
 from unit.cli.fake_client import Outcome, play, run
 from unit.manager.world import TRACKER
 
@@ -17,6 +20,8 @@ from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.statistics import NodeletLoad
+from dyknow.ros.client import ManagerClient
+from dyknow.ros.shell import shell_client
 from dyknow.ros.shell.load_meter import Loads
 
 #: With a camera, and a protected relay behind it.
@@ -465,3 +470,29 @@ def test_stats_are_watched_until_the_count(chain):
     assert [len(json.loads(line)["nodelets"]) for line in outcome.lines] == [2, 2, 2]
     text = run(chain, "stats cam -w 0.001 -n 2").out
     assert text.count("NODELET") == 2 and "\x1b" not in text
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_terminal_shows_what_a_command_waits_for(monkeypatch, is_terminal):
+    class Errors(io.StringIO):
+        def isatty(self):
+            return is_terminal
+
+    told = threading.Event()
+
+    def answer_late(client, *request, **options):
+        wait_for(told)
+        return SimpleNamespace(success=True, message="")
+
+    def tell(service):
+        shell.tell_wait(service)
+        told.set()
+
+    monkeypatch.setattr(shell_client, "_SILENCE", 0.0)
+    monkeypatch.setattr(shell_client.ShellClient, "_find_master", lambda client: None)
+    monkeypatch.setattr(ManagerClient, "_call", answer_late)
+    client = shell_client.ShellClient("/dyknow_manager", on_wait=tell)
+    shell = Shell(lambda: client, False, io.StringIO(), Errors())
+    assert execute(parse(["destroy", "/slow"]), shell) == 0
+    said = "dyknow: still waiting for /dyknow_manager/destroy\n" if is_terminal else ""
+    assert (shell.out.getvalue(), shell.err.getvalue()) == ("destroyed /slow\n", said)
