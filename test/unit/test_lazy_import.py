@@ -33,6 +33,8 @@ def test_the_package_alone_loads_nothing() -> None:
 
 ROS = {"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"}
 PARSERS = {"lxml", "rdflib", "urllib.request", "importlib.resources"}
+#: What rospy imports, and ours is not to.
+LATE = {"numpy", "pyparsing"}
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ PARSERS = {"lxml", "rdflib", "urllib.request", "importlib.resources"}
         # Each of these costs every re-wirable script its time at the start.
         ("import dyknow.ros.nodelets.script_process", PARSERS),
         *(
-            (f"import dyknow.ros.lean, dyknow.ros.{name}", {"numpy"})
+            (f"import dyknow.ros.lean, dyknow.ros.{name}", LATE)
             for name in (
                 "manager.manager_node",
                 "nodelets.nodelet_client",
@@ -84,13 +86,33 @@ def test_fields_of_floats_accept_what_genpy_accepts_with_numpy() -> None:
     assert "numpy.float32" in accepted("")
 
 
-#: Runs a script up to its first connection; ends with 1 if numpy is imported by then.
-PROGRAM = """
+CONDITIONS = """
+from catkin_pkg.package import parse_package_string
+
+package = parse_package_string(
+    "<package format='3'><name>a</name><version>1.0.0</version><description>d</description>"
+    "<license>BSD</license><maintainer email='a@b.org'>m</maintainer>"
+    "<depend condition='$ROS_VERSION == 1 and $SIM != no'>rospy</depend>"
+    "<depend condition='$ROS_VERSION == 2'>rclpy</depend><depend>tf</depend></package>"
+)
+package.evaluate_conditions({"ROS_VERSION": "1"})
+print({each.name: each.evaluated_condition for each in package.exec_depends})
+"""
+
+
+def test_conditions_in_package_xml_are_evaluated_as_ever() -> None:
+    command = [sys.executable, "-c", "import dyknow.ros.lean, rospy" + CONDITIONS]
+    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+    assert done.stdout == "{'rospy': True, 'rclpy': False, 'tf': True}\n"
+
+
+#: Runs a script up to its first connection; ends with 1 if a module of LATE is imported by then.
+PROGRAM = f"""
 import os, runpy, sys
 
 def look(event, args):
     if event == "socket.connect":
-        os._exit("numpy" in sys.modules)
+        os._exit(not sys.modules.keys().isdisjoint({LATE}))
 
 sys.addaudithook(look)
 sys.argv = sys.argv[1:]
@@ -102,7 +124,7 @@ os._exit(2)
 @pytest.mark.parametrize(
     "words", ["manager", "nodelet_manager", "nodelet unload a b", "dyknow list"]
 )
-def test_programs_do_without_numpy(words: str, tmp_path: Path) -> None:
+def test_programs_do_without_what_is_slow_to_import(words: str, tmp_path: Path) -> None:
     environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9", "TMPDIR": str(tmp_path)}
     script, *arguments = words.split()
     command = [sys.executable, "-c", PROGRAM, str(ROOT / "scripts" / script), *arguments]
