@@ -29,7 +29,7 @@ _DOUBLE = re.compile(
 )
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
 #: What XML, and so XML-RPC, has no way to write.
-_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 #: What ends a document of YAML.
 _END = re.compile(r"\n(\.\.\.\n)?\Z")
 _BOOLS: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}
