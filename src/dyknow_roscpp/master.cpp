@@ -11,9 +11,10 @@
 #include <xmlrpcpp/XmlRpcException.h>
 
 #include <algorithm>
+#include <cctype>
+#include <cstdio>
 #include <cstdlib>
 #include <fstream>
-#include <regex>
 #include <sstream>
 
 #include "problems.h"
@@ -41,33 +42,33 @@ std::string typeIn(XmlRpc::XmlRpcValue types, const std::string& topic)
   return "";
 }
 
-/// Characters of the longest type that is looked up: regular expressions take some of the stack for each.
-constexpr std::size_t LONGEST_TYPE = 255;
-
 /// Where Debian has the modules of its ROS packages, which no set-up file adds to PYTHONPATH.
 constexpr const char* SYSTEM_MODULES = "/usr/lib/python3/dist-packages";
 
 /// The checksum of a type, from the Python module that is generated for every message; else its name.
 std::string canonical(const std::string& datatype)
 {
-  static const std::regex name("([A-Za-z]\\w*)/([A-Za-z]\\w*)");
-  static const std::regex checksum("\\s*_md5sum = \"([0-9a-f]{32})\"");
-  std::smatch match;
-  if (datatype.size() > LONGEST_TYPE || !std::regex_match(datatype, match, name))
+  const auto slash = datatype.find('/');
+  const auto is_usual = [](unsigned char each) {
+    return each == '_' || each == '/' || (each < 128 && std::isalnum(each) != 0);
+  };
+  if (slash == std::string::npos || slash != datatype.rfind('/') ||
+      !std::all_of(datatype.begin(), datatype.end(), is_usual))
   {
     return datatype;
   }
+  const std::string path = "/" + std::string(datatype).replace(slash, 1, "/msg/_") + ".py";
   const char* modules = std::getenv("PYTHONPATH");
   std::istringstream folders(std::string(modules == nullptr ? "" : modules) + ":" + SYSTEM_MODULES);
   for (std::string folder; std::getline(folders, folder, ':');)
   {
-    std::ifstream module(folder + "/" + match.str(1) + "/msg/_" + match.str(2) + ".py");
+    std::ifstream module(folder + path);
     for (std::string line; std::getline(module, line);)
     {
-      std::smatch found;
-      if (line.size() < 100 && std::regex_match(line, found, checksum))
+      char checksum[33];
+      if (std::sscanf(line.c_str(), " _md5sum = \"%32[0-9a-f]\"", checksum) == 1)
       {
-        return found.str(1);
+        return checksum;
       }
     }
   }
