@@ -11,8 +11,9 @@ from typing import Any, Callable, Dict, List, Tuple
 from unittest import mock
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from property_tests import examples
 from unit.manager.field import (
     CHAIN,
     FIRST_MESSAGE,
@@ -215,7 +216,7 @@ def test_clients_without_the_limit_go_on_with_the_part(
 TURNS = st.tuples(st.sampled_from(CHAIN), st.integers(0, 5), st.integers(2, 15))
 
 
-@settings(max_examples=10, deadline=None)
+@examples(20)
 @given(st.sampled_from(OF_FLOWS), st.lists(TURNS, max_size=5))
 @example("rate", [("bottom camera", 5, 5), ("subsampler", 2, 3), ("subsampler", 1, 2)])
 @example("rate", [("bottom camera", 3, 3), ("detector", 1, 3), ("bottom camera", 1, 3)])

@@ -24,8 +24,9 @@ import rosgraph.network
 import rospy
 import rospy.msg
 from clocks import eventually
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from property_tests import examples
 from rospy.exceptions import TransportTerminated
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.numpy_msg import numpy_msg
@@ -564,7 +565,7 @@ def test_what_a_lost_subscriber_may_still_copy_lingers():
     connection.other.close()
 
 
-@settings(max_examples=30, deadline=None)
+@examples(120)
 @given(st.lists(st.tuples(st.booleans(), st.sampled_from([8, 1 << 12, 1 << 18, WINDOW]))))
 def test_any_mixture_arrives_in_order(messages):
     connection = Connection()
