@@ -38,7 +38,7 @@ IN_WORKSPACE = ("bash", str(ROOT / "tools" / "in-workspace.sh"))
 ROS_PYTHON = "/usr/bin/python3"
 STAGE_TIMEOUT = 3000.0  # s
 LONG_TIMEOUT = 3600.0  # s, for a stage or suite of the long run
-IN_PARALLEL = ("-n", "4", "--dist", "worksteal")  # some wait for processes or windows
+IN_PARALLEL = ("-n", "3", "--dist", "worksteal")  # some wait for processes or windows
 USES_LIBRARIES = ("dyknow_cpp_test_libraries", "dyknow_cpp_test_node")
 #: Lists the source files without SPDX lines; those to be copied or shown line by line need none.
 LACKING_SPDX = (
