@@ -5,8 +5,7 @@
 
 A stage that fails fails the run, but the later stages still run, so that one run shows everything
 there is to mend. The build occupies one processor for a part of its time, and the rostest suites
-wait for much of theirs: the other checks and tests run beside them, one after the other. The unit
-tests of the layers without ROS do not wait for the build.
+wait for much of theirs: the other checks and tests run beside them, one after the other.
 
 With ``--long`` it runs what takes too long for every change instead: the unit tests that are
 marked ``long``, those on Python 3.8, the others with random examples and with random delays of
@@ -48,10 +47,7 @@ LACKING_SPDX = (
     "':!examples/convert' ':!examples/skeleton' ':!examples/two_cameras' ':!build'"
 )
 SYSTEM_MODULES = "/usr/lib/python3/dist-packages"
-#: Unit tests of the layers without ROS; some of them judge by modules that ROS comes with.
-WITHOUT_BUILD = tuple(
-    f"test/unit/{layer}" for layer in ("model", "formulas", "nodelet", "proxy", "manager")
-)
+LAYERS_WITHOUT_ROS = ("model", "formulas", "nodelet", "proxy", "manager")
 
 
 @dataclass(frozen=True)
@@ -113,21 +109,13 @@ def run_pytest(
     return Outcome(report.passed, max(failed, 1), output, note, report.failures)
 
 
-def unit_tests(
-    *chosen: str,
-    marked: str = "not long",
-    is_long: bool = False,
-    is_built: bool = True,
-    **environment: str,
-) -> Outcome:
+def unit_tests(marked: str = "not long", is_long: bool = False, **environment: str) -> Outcome:
     """The tests that need no roscore, on the Python of ROS: those that are marked so."""
-    name = marked.replace(" ", "-") if is_built else "without-build"
     return run_pytest(
-        f"unit-{name}.xml",
+        f"unit-{marked.replace(' ', '-')}.xml",
         *IN_WORKSPACE,
-        *(() if is_built else ("--not-built",)),
         *(str(VENV / "python"), "-m", "pytest", "-q", *IN_PARALLEL),
-        *("-m", marked, *(chosen or ("test/unit",))),
+        *("-m", marked, "test/unit"),
         # Stacks that are taken of a running test, rather than a stuck one, may crash it.
         *(("-o", "faulthandler_timeout=0") if is_long else ()),
         timeout=LONG_TIMEOUT if is_long else STAGE_TIMEOUT,
@@ -175,7 +163,7 @@ def coverage() -> Outcome:
         "unit-coverage.xml",
         *IN_WORKSPACE,
         *(str(ROOT / "build/venv-coverage/bin/python"), "-m", "pytest", "-q", *IN_PARALLEL),
-        *("-m", "not long", *WITHOUT_BUILD, "--cov"),
+        *("-m", "not long", *(f"test/unit/{layer}" for layer in LAYERS_WITHOUT_ROS), "--cov"),
         timeout=LONG_TIMEOUT,
         HYPOTHESIS_PROFILE="slow",
         COVERAGE_FILE=str(RESULTS / "coverage"),
@@ -233,7 +221,6 @@ CHECKS: tuple[Stage, ...] = (
     ("lint-imports", check(str(VENV / "lint-imports"))),
     ("codespell", check(str(VENV / "codespell"))),
     ("docs", check("make", "--no-print-directory", "docs")),
-    ("unit tests without ROS", lambda: unit_tests(*WITHOUT_BUILD, is_built=False)),
 )
 #: Run beside the ROS tests.
 BUILT: tuple[Stage, ...] = (
@@ -241,10 +228,7 @@ BUILT: tuple[Stage, ...] = (
         "catkin_lint",
         check("catkin_lint", "-W2", "--strict", "--ignore", "subproject", "build/ws/src/dyknow"),
     ),
-    (
-        "unit tests",
-        lambda: unit_tests("test/unit", *(f"--ignore={path}" for path in WITHOUT_BUILD)),
-    ),
+    ("unit tests", unit_tests),
 )
 
 LONG_STAGES: tuple[Stage, ...] = (
@@ -258,7 +242,7 @@ LONG_STAGES: tuple[Stage, ...] = (
     ("coverage", coverage),
     ("unit tests with delays", lambda: unit_tests(is_long=True, DYKNOW_DELAYS="1")),
     ("random unit tests", lambda: unit_tests(is_long=True, HYPOTHESIS_PROFILE="random")),
-    ("long unit tests", lambda: unit_tests(marked="long", is_long=True)),
+    ("long unit tests", lambda: unit_tests("long", True)),
     ("long ROS tests", lambda: ros_tests(long=True)),
 )
 

@@ -2,30 +2,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-# Runs a command in the environment of the built workspace, or of ROS alone:
-# bash tools/in-workspace.sh [--not-built] COMMAND [ARGUMENT...]
+# Runs a command in the environment of the built workspace: bash tools/in-workspace.sh COMMAND [ARGUMENT...]
 set -e
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 
-setup="$root/build/ws/devel/setup.bash"
-if [ "$1" = --not-built ]; then
-  shift
-  setup=/opt/ros/noetic/setup.bash
-  [ -f "$setup" ] || setup=/dev/null # Debian's needs none
-elif [ ! -f "$setup" ]; then
-  echo "the workspace is not built yet: run 'make build'" >&2
-  exit 1
-fi
-
 # In a function, because the setup files would read this script's arguments as theirs.
-load() {
-  . "$setup"
+load_workspace() {
+  if [ ! -f "$root/build/ws/devel/setup.bash" ]; then
+    echo "the workspace is not built yet: run 'make build'" >&2
+    exit 1
+  fi
+  . "$root/build/ws/devel/setup.bash"
 }
 
 # ROS's Python is the system's, whichever other one comes first.
 export PATH="/usr/bin:$PATH"
-load
+load_workspace
 
 # Tests start hundreds of processes: none is to compile again what another one, or the distribution, has compiled.
 unset PYTHONDONTWRITEBYTECODE
