@@ -4,7 +4,7 @@
 """How many examples the property tests try, and for how long.
 
 The usual examples are the same in each run: they keep a known fault from coming back, and are few.
-``HYPOTHESIS_PROFILE=random``, which ``make test-long`` uses, finds new faults with twelve times as
+``HYPOTHESIS_PROFILE=random``, which ``make test-long`` uses, finds new faults with twenty times as
 many; ``HYPOTHESIS_PROFILE=slow`` is for machines that are slow or busy.
 """
 
