@@ -55,11 +55,9 @@ class Restarts:
             HostError: this manager did not make it, or it does not answer.
             RestartFailed: it did not come up again.
         """
-        if self._graph.find(name) is not None:
-            return self._restart_nodelet(name, is_forced)
-        state = self._host.states().get(name)
+        state = None if self._graph.find(name) else self._host.states().get(name)
         if state is None:
-            raise UnknownNodelet(name, {*self._graph.records, *self._host.states()})
+            return self._restart_nodelet(name, is_forced)
         if state.isolated_for:
             return self._restart_nodelet(state.isolated_for, is_forced)
         if not state.own:
@@ -108,9 +106,9 @@ class Restarts:
                 raise MoveFailed(name, target, problem, is_back) from problem
 
     def _restart_nodelet(self, name: str, is_forced: bool) -> Restarted:
-        with self._graph.restart([name]) as records:
+        with self._graph.restart([name]) as records:  # once it is there, if it is being made
             if not records:
-                raise UnknownNodelet(name, self._graph.records)
+                raise UnknownNodelet(name, {*self._graph.records, *self._host.states()})
             (record,) = records
             fresh = self._renewed(record, is_forced)
             self._graph.put(_ending(record))

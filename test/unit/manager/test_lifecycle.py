@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Mapping
+from typing import Callable, Mapping
 
 import pytest
 from clocks import HandClock, SteppedClock, in_thread, join
@@ -28,7 +28,8 @@ from dyknow.errors import (
     UnknownTransformation,
 )
 from dyknow.guards import Guards
-from dyknow.model.graph import NodeletKind, State
+from dyknow.manager.manager import Manager
+from dyknow.model.graph import NodeletKind, Restarted, State
 from dyknow.model.transformation import Parameter
 
 
@@ -132,42 +133,43 @@ def test_an_isolated_nodelet_has_a_process_that_ends_with_it(world: World) -> No
     assert list(world.host.processes) == [shared]
 
 
-def test_a_nodelet_that_is_being_made_is_destroyed_once_it_is_there() -> None:
-    """So a client that was interrupted can take its spawn back."""
+def world_after(act: Callable[[Manager], object], is_protected: bool = False) -> World:
+    """Act on a nodelet from another thread while its nodelet manager is being started."""
     clock = SteppedClock()
     world = World(clock=clock)
-    destroying: list[threading.Thread] = []
+    acting: list[threading.Thread] = []
 
-    def take_back() -> None:
-        world.manager.set_protection("front", False)
-        world.manager.destroy("front")
-
-    def interrupt(what: str, argument: str) -> None:
-        if what == "ensure":
-            destroying.append(in_thread(take_back))
+    def begin(what: str, argument: str) -> None:
+        if what == "ensure" and not acting:
+            acting.append(in_thread(lambda: act(world.manager)))
             clock.settle()
 
-    world.host.fail = interrupt
-    world.spawn("camera", "front", isolated=True, is_protected=True)
-    join(*destroying)
-    assert nothing_left(world, "/front")
+    world.host.fail = begin
+    world.spawn("camera", "front", isolated=True, is_protected=is_protected)
+    join(*acting)
+    return world
+
+
+def test_a_nodelet_that_is_being_made_is_destroyed_once_it_is_there() -> None:
+    """So a client that was interrupted can take its spawn back."""
+
+    def take_back(manager: Manager) -> None:
+        manager.set_protection("front", False)
+        manager.destroy("front")
+
+    assert nothing_left(world_after(take_back, is_protected=True), "/front")
 
 
 def test_a_nodelet_that_is_being_made_is_connected_once_it_is_there() -> None:
-    clock = SteppedClock()
-    world = World(clock=clock)
-    connecting: list[threading.Thread] = []
-
-    def connect(what: str, argument: str) -> None:
-        if what == "ensure":
-            move = ("front", {"image": "/pictures"})
-            connecting.append(in_thread(lambda: world.manager.connect([move])))
-            clock.settle()
-
-    world.host.fail = connect
-    world.spawn("camera", "front", isolated=True)
-    join(*connecting)
+    world = world_after(lambda manager: manager.connect([("front", {"image": "/pictures"})]))
     assert world.manager.graph.get("/front").status.connections == {"image": "/pictures"}
+
+
+def test_a_nodelet_that_is_being_made_is_restarted_once_it_is_there() -> None:
+    restarted: list[Restarted] = []
+    world = world_after(lambda manager: restarted.append(manager.restart("front")))
+    assert restarted == [Restarted(("/front",))]
+    assert world.manager.graph.get("/front").state is State.RUNNING
 
 
 def test_a_nodelet_goes_to_its_neighbours_else_to_the_emptiest(world: World) -> None:
