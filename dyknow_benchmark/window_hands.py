@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import sys
 import time
+from types import TracebackType
 from typing import Callable, Iterator, NamedTuple, Sequence
 
 from python_qt_binding.QtCore import QTimer
@@ -15,12 +17,14 @@ from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication
 
 from dyknow.model.graph import State
+from dyknow.ros.process.signals import raise_swallowed
 from dyknow_benchmark.session import (
     MANAGER,
     NODELET_MANAGER,
     MeasurementFailed,
     Session,
     kill,
+    say,
     steps,
 )
 from dyknow_rqt.canvas.view import GraphView
@@ -75,15 +79,22 @@ def use(count: int) -> list[Row]:
     """Open a window on a manager, kill the hosts of its nodelets, and see them come back."""
     application = QApplication.instance() or QApplication(["benchmark"])
     rows = []
+
+    def watch(what: str, is_done: Callable[[], bool]) -> None:
+        say(f"{count} nodelets: {what}")
+        rows.append(_row(count, what, _gaps(is_done)))
+
     with contextlib.ExitStack() as stack:
+        stack.callback(setattr, sys, "excepthook", sys.excepthook)
+        sys.excepthook = _survive
         session = stack.enter_context(Session())
         client = session.dyknow_manager()
         for number in steps(range(count), "spawning", "nodelet"):
             spawn_relay(client, number)
         window = stack.enter_context(_window(DyKnowWidget(RosRemote(MANAGER))))
-        rows.append(_row(count, "open", _gaps(lambda: _is_whole(window, count))))
+        watch("open", lambda: _is_whole(window, count))
         end = time.monotonic() + _IDLE
-        rows.append(_row(count, IDLE, _gaps(lambda: time.monotonic() > end)))
+        watch(IDLE, lambda: time.monotonic() > end)
         for what, nodes in (
             ("nodelet manager killed", [NODELET_MANAGER]),
             ("both managers killed", [MANAGER, NODELET_MANAGER]),
@@ -91,10 +102,20 @@ def use(count: int) -> list[Row]:
             kill(*nodes)
             if MANAGER in nodes:
                 session.start_manager()
-            rows.append(_row(count, what, _gaps(_is_whole_again(window, count))))
+            watch(what, _is_whole_again(window, count))
+        say(f"{count} nodelets: moves")
         rows += [_row(count, *moved) for moved in _moves(window)]
     application.processEvents()
     return rows
+
+
+def _survive(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Let an exception that leaves a slot pass: without a hook of ours PyQt aborts the process.
+
+    Ctrl-C is raised again as soon as no slot runs.
+    """
+    if kind is not KeyboardInterrupt:
+        sys.__excepthook__(kind, error, trace)
 
 
 @contextlib.contextmanager
@@ -143,6 +164,7 @@ def _gaps(is_done: Callable[[], bool]) -> Sequence[Tick]:
     end, since = time.monotonic() + _PATIENCE, 0.0
     while not since or time.monotonic() < since + _REST:
         QTest.qWait(20)
+        raise_swallowed()
         since = (since or time.monotonic()) if is_done() else 0.0
         if time.monotonic() > end:
             raise MeasurementFailed(f"waited {_PATIENCE:g} s for the window to show all nodelets")
@@ -181,6 +203,7 @@ def _frames(window: DyKnowWidget, move: Callable[[], None]) -> Sequence[Tick]:
         move()
         view.viewport().update()  # all of it, also where a scroll would move pixels
         QApplication.processEvents()
+        raise_swallowed()
         ticks.append(_now())
     return ticks
 
