@@ -40,8 +40,8 @@ _NARROW, _MARGIN = 90.0, 3.0
 _LONG = 600.0
 #: Pixels: the width of a line that stands for a ring.
 _RING = 2.2
-#: The most shapes that are painted at a time, and pixels of a picture.
-_FEW, _MOST_PIXELS = 150, 6e6
+#: The most shapes that are painted at a time, the most with dashes, and pixels of a picture.
+_FEW, _FEW_DASHED, _MOST_PIXELS = 150, 10, 6e6
 
 
 class Overview:
@@ -84,7 +84,8 @@ class Overview:
                 found: Dict[_Look, List[QPainterPath]] = {}
                 for look, path in strokes:
                     pieces = found.setdefault(look, [])
-                    if not pieces or pieces[-1].elementCount() > _FEW * 4:
+                    few = _FEW if look[-1] == Qt.SolidLine else _FEW_DASHED
+                    if not pieces or pieces[-1].elementCount() > few * 4:
                         pieces.append(QPainterPath())
                     pieces[-1].addPath(path)
                     yield
