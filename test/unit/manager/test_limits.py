@@ -216,7 +216,7 @@ def test_clients_without_the_limit_go_on_with_the_part(
 TURNS = st.tuples(st.sampled_from(CHAIN), st.integers(0, 5), st.integers(2, 15))
 
 
-@examples(20)
+@examples(40)
 @given(st.sampled_from(OF_FLOWS), st.lists(TURNS, max_size=5))
 @example("rate", [("bottom camera", 5, 5), ("subsampler", 2, 3), ("subsampler", 1, 2)])
 @example("rate", [("bottom camera", 3, 3), ("detector", 1, 3), ("bottom camera", 1, 3)])
