@@ -65,8 +65,10 @@ std::string canonical(const std::string& datatype)
     std::ifstream module(folder + path);
     for (std::string line; std::getline(module, line);)
     {
-      char checksum[33];
-      if (std::sscanf(line.c_str(), " _md5sum = \"%32[0-9a-f]\"", checksum) == 1)
+      char checksum[33] = {};
+      int end = 0;
+      std::sscanf(line.c_str(), " _md5sum = \"%32[0-9a-f]\"%n", checksum, &end);
+      if (end != 0 && checksum[31] != '\0')
       {
         return checksum;
       }
