@@ -8,9 +8,14 @@ topic on which the bus publishes that would deliver everything twice, so the con
 address is answered with an INTRAPROCESS transport that carries nothing; rosnode and rqt_graph
 still see it. The hook is ``create_transport`` of rospy's protocol handler, of its documented
 ``ProtocolHandler`` interface. On the topics of the bus, methods of rospy's own publisher and
-subscriber objects are wrapped too: ``publish``, ``add_connection`` and ``remove_connection``,
+subscriber objects are wrapped too: ``publish``, ``add_connection`` and ``set_queue_size``,
 ``add_callback`` and ``remove_callback``. All of them are attributes of objects: no class is
 patched.
+
+A publisher is taken over before the master learns of it. One that ordinary handles had made may
+have subscribers, and one that connects at this moment: rospy's thread has found the method that
+is being wrapped, and logs before it adds the connection. Listeners are called after that, so
+``OrdinaryHandles`` is a ``SubscribeListener`` as well.
 
 What ordinary rospy handles in this process (tf2's listeners and broadcasters, say) exchange on
 such a topic is passed on by this module: to ordinary subscribers on a strand of their own, from
@@ -25,9 +30,10 @@ first publication until rospy's publisher of that topic is gone.
 from __future__ import annotations
 
 import collections
+import contextlib
 import copy
 import functools
-from typing import Any, Callable, Collection, Tuple
+from typing import Any, Callable, Collection, Iterator, Tuple
 
 import rospy
 import rospy.core
@@ -111,7 +117,7 @@ class _Waiting:
             self._subscriber._invoke_callback(message, *self.entry)
 
 
-class OrdinaryHandles:
+class OrdinaryHandles(rospy.SubscribeListener):
     """Ordinary rospy handles of this process on one topic of the bus.
 
     Args:
@@ -143,7 +149,7 @@ class OrdinaryHandles:
         self._outbound = outbound
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._waiting: list[_Waiting] = []
-        #: The largest queue size of the publications of the bus; None without one.
+        #: The largest queue size of the publications; None before the first.
         self._queue_size: int | None = None
         self._refreshing = state_lock("outside listeners")
         self._connecting = 0  # subscribers whose connections are being added
@@ -176,7 +182,6 @@ class OrdinaryHandles:
         if self._publisher is publisher:
             return
         self._publisher = publisher
-        self._queue_size = None
         self._latches.pop(None, None)
         if publisher.latch is not None:
             self.latch(None, publisher.latch)
@@ -199,34 +204,23 @@ class OrdinaryHandles:
 
         def add_and_catch_up(connection: Any) -> Any:
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
-            publisher.acquire()  # nothing is published between missed and later messages
-            try:
-                made = self._outbound(connection, publisher.queue_size)
-                added = add_with_own_queue(made)
+            with self._publisher_held():  # nothing is published between missed and later messages
+                made = self._outbound(connection, self._queue_size)
+                added = add(made)
                 for message in self.backlog.missed_by(address):
                     if made.done:  # it has died meanwhile
                         break
                     outwards(message, made)
                 return added
-            finally:
-                publisher.release()
-
-        def add_with_own_queue(made: Any) -> Any:
-            size, publisher.queue_size = publisher.queue_size, None  # rospy would add its own
-            try:
-                return add(made)
-            finally:
-                publisher.queue_size = size
 
         publisher.publish = publish
         publisher.add_connection = add_connection
-        self._follow(publisher, "remove_connection")
-        with publisher.c_lock:
-            present = publisher.connections  # those that were there already
-            for number, connection in enumerate(present):
-                connection.set_cleanup_callback(self._refreshing_after(connection.cleanup_cb))
-                if not isinstance(connection, QueuedConnection):  # rospy gave it none yet
-                    present[number] = self._outbound(connection, publisher.queue_size)
+        if publisher.queue_size is not None:
+            self.widen(publisher.queue_size)
+        publisher.set_queue_size = self.widen
+        publisher.queue_size = None  # rospy would put a queue of its own before each connection
+        publisher.add_subscriber_listener(self)
+        self._take_connections()
         subscriber = rospy.impl.registration.get_topic_manager().get_subscriber_impl(self.name)
         if subscriber is not None and subscriber.has_connection(self._uri):
             # It takes the place of rospy's connection to itself, which has delivered its latch.
@@ -238,39 +232,56 @@ class OrdinaryHandles:
         Subscribers that are connected have the queue of the publication that was there then,
         which may have been one for a nodelet that was yet to be loaded.
         """
-        publisher = self._publisher
-        publisher.acquire()  # no connection is made meanwhile
-        try:
+        with self._publisher_held() as publisher:
             before = self._queue_size
             size = self._queue_size = queue_size if before is None else wider(before, queue_size)
-            publisher.queue_size = size
             self.backlog.widen(size)
-            for connection in publisher.connections or ():
+            for connection in (publisher and publisher.connections) or ():
                 if isinstance(connection, Outbound):
                     connection.widen(size)
+
+    def peer_subscribe(self, topic: str, publish: Any, publish_to_peer: Any) -> None:
+        """Note a new connection; rospy calls this."""
+        self._take_connections()
+        self.refresh()
+
+    def peer_unsubscribe(self, topic: str, remaining: int) -> None:
+        """Note that a connection has ended; rospy calls this."""
+        self.refresh()
+
+    def _take_connections(self) -> None:
+        """Put our queue before each connection that has none yet."""
+        publisher = self._publisher
+        with publisher.c_lock:
+            present = publisher.connections
+            for number, connection in enumerate(present):
+                if not isinstance(connection, (Outbound, QueuedConnection)):
+                    present[number] = self._outbound(connection, self._queue_size)
+
+    @contextlib.contextmanager
+    def _publisher_held(self) -> Iterator[Any]:
+        """Hold rospy's publisher, if there is one: nothing is published, nothing connected."""
+        publisher = self._publisher
+        if publisher is not None:
+            publisher.acquire()
+        try:
+            yield publisher
         finally:
-            publisher.release()
+            if publisher is not None:
+                publisher.release()
 
     def expect(self, notified: Collection[str]) -> None:
         """Keep messages for subscribers that were notified and have yet to connect."""
-        publisher = self._publisher
-        publisher.acquire()  # first: no connection comes between the question and the answer
-        try:
+        with self._publisher_held() as publisher:  # before it is asked for its connections
             connected = {self._address(each.endpoint_id) for each in publisher.connections}
             self.backlog.expect(set(notified) - connected, self._queue_size or 0)
-        finally:
-            publisher.release()
         self.refresh()
 
     def forget_dead(self, is_dead: Callable[[str], bool]) -> None:
         """Expect subscribers no more that are dead; to find that out may take time."""
         dead = set(filter(is_dead, self.backlog.due))
-        publisher = self._publisher
-        publisher.acquire()
-        try:
+        with self._publisher_held():
             self.backlog.forget(dead)
-        finally:
-            publisher.release()
         self.refresh()
 
     def link(self, subscriber: Any, replacing: bool = False) -> None:
@@ -432,7 +443,9 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
         handler = rospy.impl.tcpros.get_tcpros_handler()
         self._connect_outside = handler.create_transport
         handler.create_transport = self._create_transport
-        rospy.impl.registration.get_registration_listeners().add_listener(self)
+        listeners = rospy.impl.registration.get_registration_listeners()
+        with listeners.lock:
+            listeners.listeners.insert(0, self)  # before the one that registers with the master
 
     def publishing(self, topic: str) -> OrdinaryHandles:
         """Take over a topic, before rospy's publisher is made."""
@@ -459,6 +472,13 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
             del self._topics[topic]
             self._shared_memory.topics.discard(topic)
         handles.unlink()
+
+    def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Take a publisher over; no subscriber knows of it yet."""
+        handles = self._topics.get(resolved_name)
+        if handles is not None and reg_type == rospy.impl.registration.Registration.PUB:
+            topics = rospy.impl.registration.get_topic_manager()
+            handles.adopt(topics.get_publisher_impl(resolved_name))
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
         if reg_type == rospy.impl.registration.Registration.PUB:

@@ -92,6 +92,7 @@ class RospyPublisher(OutsidePublisher):
         self._size = 0
         self._ordinary = intraprocess.publishing(topic)
         self._ordinary.registrations.add(self)
+        self._ordinary.widen(queue_size)
         try:
             self._publisher = rospy.Publisher(
                 topic, datatype, latch=latch, queue_size=queue_size, **options
@@ -102,7 +103,6 @@ class RospyPublisher(OutsidePublisher):
             raise
         self._implementation = self._publisher.impl
         self._ordinary.adopt(self._implementation)
-        self._ordinary.widen(queue_size)
         self._notified = registrar.subscribers(topic) or frozenset()
         self._late = registrar.late
         self._ordinary.refresh()

@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rospy.impl import registration, tcpros_pubsub
+import rospy.core
+import rospy.topics
+from clocks import PATIENCE as DEADLINE
+from rospy.impl import registration, tcpros, tcpros_pubsub
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.topics import _PublisherImpl, _SubscriberImpl
 from std_msgs.msg import Header
@@ -245,7 +249,7 @@ class Graph:
             latch=None,
             queue_size=1,
             c_lock=threading.RLock(),
-            **dict.fromkeys(("publish", "add_connection", "remove_connection"), nothing),
+            **dict.fromkeys(("publish", "add_connection", "add_subscriber_listener"), nothing),
             **dict.fromkeys(("acquire", "release"), nothing),
         )
         rospy: Any = SimpleNamespace(
@@ -388,3 +392,86 @@ def test_of_two_connections_to_a_publisher_the_first_stays(is_shared, monkeypatc
     assert connect("/t", ONE, where)[0] == connect("/t", TWO, where)[0] == 1
     assert [each.endpoint_id for each in subscriber.connections] == [ONE, TWO]
     assert subscriber.connections[0] is first and not first.done
+
+
+# A subscriber that connects while a publication is being made
+
+
+class AtAddition(logging.Filter):
+    """Holds up a thread that is about to add a connection, unless it holds up the publisher."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.publisher: Any = None
+        self.begun, self.may_end = threading.Event(), threading.Event()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if "adding connection" in record.getMessage():
+            self.begun.set()
+            if not self.publisher.publock._is_owned():
+                assert self.may_end.wait(DEADLINE)
+        return True
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, monkeypatch, caplog):
+    """For good: nothing happens to the topic after that to say that it is there."""
+    manager, listeners = rospy.topics._TopicManager(), registration.RegistrationListeners()
+    monkeypatch.setattr(registration, "_topic_manager", manager)
+    monkeypatch.setattr(rospy.topics, "get_topic_manager", lambda: manager)
+    monkeypatch.setattr(registration, "_registration_listeners", listeners)
+    monkeypatch.setattr(rospy.core, "get_node_uri", lambda: THREE)
+    monkeypatch.setattr(tcpros.get_tcpros_handler(), "create_transport", print)
+    held_up, here = AtAddition(), socket.socketpair()
+    connection = TCPROSTransport(tcpros_pubsub.TCPROSPub("/t", Header), "/t")
+    connection.set_socket(here[0], ONE)
+
+    def connect() -> None:
+        held_up.publisher = manager.get_publisher_impl("/t")
+        subscriber.start()
+        assert held_up.begun.wait(DEADLINE)
+
+    subscriber = threading.Thread(
+        target=lambda: manager.get_publisher_impl("/t").add_connection(connection)
+    )
+    master: Any = registration.RegistrationListener()
+    master.reg_added = lambda *topic: connect()
+    memory: Any = SimpleNamespace(
+        topics=set(),
+        publish=lambda *message: False,
+        outbound=lambda each, size: Outbound(each, size, None),
+    )
+    names: Any = SimpleNamespace(node=str)
+    notified = frozenset({ONE}) if is_new else None
+    registrar: Any = SimpleNamespace(subscribers=lambda topic: notified, late=LateSubscribers())
+    caplog.set_level(logging.INFO, "rospy.internal")
+    internal = logging.getLogger("rospy.internal")
+    internal.addFilter(held_up)
+    listeners.add_listener(master)
+    try:
+        if not is_new:
+            manager.acquire_impl(registration.Registration.PUB, "/t", Header)
+        hook = IntraProcess(ManualExecutor(), memory)
+        hook._master = names
+        made = RospyPublisher(hook, memory, registrar, "/t", Header, False, 3, {})
+        made.wait(0.0)
+        made.publish(Header(frame_id="early"))
+        held_up.may_end.set()
+        subscriber.join(DEADLINE)
+        assert made.heard
+        made.publish(Header(frame_id="heard"))
+        here[1].settimeout(DEADLINE)
+        received = b""
+        while b"heard" not in received:
+            received += here[1].recv(1000)
+        assert (b"early" in received) is is_new, "only the master says that it is to come"
+        (taken,) = made.peers()
+        assert isinstance(taken, Outbound)
+        taken.close()
+        assert not made.heard
+    finally:
+        held_up.may_end.set()
+        internal.removeFilter(held_up)
+        manager.close_all()
+        for each in here:
+            each.close()
