@@ -43,9 +43,18 @@ class _Connection(http.client.HTTPConnection):
 
 
 class _Transport(xmlrpc.client.Transport):
-    def __init__(self, seconds: float) -> None:
+    """Parses an answer as a whole; parsing takes longer than all the rest."""
+
+    #: Only look whether the next answer has this text.
+    wanted = b""
+
+    def __init__(self, seconds: float, compares: bool) -> None:
+        """Prepare; with ``compares`` an answer like the one before is not parsed again."""
         super().__init__()
         self._seconds = seconds
+        self._compares = compares
+        self._text = b""
+        self._value: Any = None
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         if self._connection and host == self._connection[0] and self._connection[1]:
@@ -54,25 +63,22 @@ class _Transport(xmlrpc.client.Transport):
         self._connection = host, made
         return made
 
-
-class _ComparingTransport(_Transport):
-    """One that parses no answer that has the text of the one before: parsing takes the most."""
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__(seconds)
-        self._text = b""
-        self._value: Any = None
-
     def parse_response(self, response: Any) -> Any:
         text = response.read()
         if response.getheader("Content-Encoding", "") == "gzip":
             text = xmlrpc.client.gzip_decode(text, -1)
-        if text != self._text:
-            parser, unmarshaller = self.getparser()
-            parser.feed(text)
-            parser.close()
-            self._text, self._value = text, unmarshaller.close()
-        return self._value
+        wanted, self.wanted = self.wanted, b""
+        if wanted:
+            return ((1, "", wanted in text),)
+        if text == self._text:
+            return self._value
+        parser, unmarshaller = self.getparser()
+        parser.feed(text)
+        parser.close()
+        value = unmarshaller.close()
+        if self._compares:
+            self._text, self._value = text, value
+        return value
 
 
 class _Server:
@@ -82,11 +88,11 @@ class _Server:
         self._uri = uri
         self._peer = peer
         self._timeout = timeout
-        self._transport = _ComparingTransport if compares else _Transport
+        self._compares = compares
         self._idle: queue.LifoQueue[_Transport] = queue.LifoQueue(_KEPT)
 
-    def ask(self, question: str, *args: Any) -> Any:
-        code, message, value = self._call(_one, question, *args)
+    def ask(self, question: str, *args: Any, wanted: bytes = b"") -> Any:
+        code, message, value = self._call(_one, question, *args, wanted=wanted)
         if code != 1:
             raise LookupError(message)
         return value
@@ -95,12 +101,15 @@ class _Server:
         calls = [{"methodName": each[0], "params": list(each[1:])} for each in questions]
         return self._call(_all, "system.multicall", calls) if calls else []
 
-    def _call(self, read: Callable[[Any], Any], question: str, *args: Any) -> Any:
+    def _call(
+        self, read: Callable[[Any], Any], question: str, *args: Any, wanted: bytes = b""
+    ) -> Any:
         assert_no_state_lock(f"asking {self._peer}: {question}")
         try:
             transport = self._idle.get_nowait()
         except queue.Empty:
-            transport = self._transport(self._timeout)
+            transport = _Transport(self._timeout, self._compares)
+        transport.wanted = wanted
         try:
             server = xmlrpc.client.ServerProxy(self._uri, transport=transport)
             answer = read(getattr(server, question)(*args))
@@ -177,11 +186,16 @@ class Master:
         """Type of a topic with a live publisher or subscriber, else empty.
 
         The types that the master knows outlive the publishers, so only published topics are
-        looked up, in the namespace of this one. Without a publisher the subscribers are queried.
+        looked up, in the namespace of this one. Without a publisher the subscribers are queried,
+        unless nothing has registered the topic, which is found out without parsing the answers.
         """
         published = dict(self.ask("getPublishedTopics", names.parent(topic)))
         if topic in published:
             return str(published[topic])
+        if not (
+            self._mentions("getTopicTypes", topic) and self._mentions("getSystemState", topic)
+        ):
+            return ""
         answers = (self._subscribed(node, topic) for node in sorted(self.subscribers(topic)))
         return next((answer for answer in answers if answer not in ("", "*")), "")
 
@@ -283,6 +297,10 @@ class Master:
     def _ask_node(self, name: str, uri: str, timeout: float, question: str, *args: Any) -> Any:
         with contextlib.closing(_Server(uri, f"node {name}", timeout)) as server:
             return server.ask(question, self.caller, *args)
+
+    def _mentions(self, question: str, name: str) -> bool:
+        """Whether a name is in an answer."""
+        return bool(self._server.ask(question, self.caller, wanted=f">{name}<".encode()))
 
     def _nodes(self, topic: str, side: int) -> set[str]:
         state = self.ask("getSystemState")

@@ -462,6 +462,19 @@ def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     assert node.datatype("/space/topic") == ""
 
 
+def test_registrations_are_listed_for_topics_alone_that_are_registered(uri, monkeypatch):
+    """Where there are 600 nodelets a spawn took twice as long with it."""
+    node, asked = Master("/node", uri), []
+    monkeypatch.setattr(node, "subscribers", lambda topic: asked.append(topic) or ())
+    node.ask("registerSubscriber", "/left", "std_msgs/Empty", URI)
+    node.ask("unregisterSubscriber", "/left", URI)
+    for topic in ("/new", "/left", "/heard", "/hea", "heard"):
+        if topic == "/heard":
+            node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
+        assert node.datatype(topic) == ""
+    assert asked == ["/heard"]
+
+
 def _slowly(frame, event, arg):
     """Let other threads go on between any two lines of the module."""
     if frame.f_code.co_filename != module.__file__:
