@@ -110,11 +110,16 @@ class PatientSocket:
         self._keep_spare()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept a connection; raises ``socket.timeout`` if no descriptor is left."""
+        """Accept a connection; raises ``socket.timeout`` if no descriptor is left.
+
+        rospy's thread ends here, without a traceback, if it begins after the node has ended.
+        """
         self._keep_spare()
         try:
             return self._socket.accept()
         except OSError as error:
+            if self._socket.fileno() < 0:
+                raise SystemExit from None
             if error.errno not in (errno.EMFILE, errno.ENFILE):
                 raise
         if self._spare is None:

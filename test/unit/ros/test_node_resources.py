@@ -116,6 +116,9 @@ class Exhausted:
     def getsockname(self):
         return "here"
 
+    def fileno(self):
+        return 100
+
 
 def test_the_server_outlives_a_lack_of_descriptors(monkeypatch):
     exhausted: Any = Exhausted("a", errno.EMFILE, "b", errno.EINVAL, errno.EMFILE)
@@ -131,6 +134,14 @@ def test_the_server_outlives_a_lack_of_descriptors(monkeypatch):
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(socket.timeout):  # without a spare one the peer waits
         descriptors.PatientSocket(exhausted).accept()
+
+
+def test_a_server_that_begins_after_its_end_has_no_traceback():
+    made = tcpros_base.TCPServer(lambda *connection: None)
+    made.server_sock = descriptors.PatientSocket(made.server_sock)
+    made.shutdown()
+    with pytest.raises(SystemExit):  # which ends a thread in silence
+        made.run()
 
 
 CODE = """
