@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Random delays where threads begin, wake up and wake others, as a busy machine makes them.
+"""Random delays where threads begin, wake up, wake others and log, as a busy machine makes them.
 
 They find tests that depend on the moment when a thread gets the processor: most delays are below
 0.03 s, rare ones up to 0.6 s.
@@ -10,6 +10,7 @@ They find tests that depend on the moment when a thread gets the processor: most
 from __future__ import annotations
 
 import functools
+import logging
 import random
 import sys
 import threading
@@ -32,6 +33,7 @@ def install() -> None:
     ):
         owner = getattr(threading, method.__qualname__.split(".")[0])
         setattr(owner, method.__name__, _delayed(method, before, after))
+    logging.setLogRecordFactory(_delayed(logging.getLogRecordFactory(), 0.1, 0.0))
 
 
 def _delayed(method: Callable[..., Any], before: float, after: float) -> Callable[..., Any]:

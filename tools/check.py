@@ -8,9 +8,9 @@ there is to mend. The build occupies one processor for a part of its time, and t
 wait for much of theirs: the other checks and tests run beside them, one after the other.
 
 With ``--long`` it runs what takes too long for every change instead: the unit tests that are
-marked ``long``, those on Python 3.8, the others with random examples and with random delays of
-threads, the rostest suites in ``test/ros/long`` (one with our C++ built with sanitizers), the
-types of the tests, and the measurement of what the unit tests cover.
+marked ``long``, those on Python 3.8, the others with random examples, all quick tests with random
+delays of threads, the rostest suites in ``test/ros/long`` (one with our C++ built with
+sanitizers), the types of the tests, and the measurement of what the unit tests cover.
 """
 
 from __future__ import annotations
@@ -190,17 +190,17 @@ def find_python38() -> str | None:
     return None
 
 
-def ros_tests(long: bool = False) -> Outcome:
-    """The rostest suites; those in the folder ``long``, or the others."""
-    folder = ROOT / "test" / "ros"
-    suites = sorted((folder / "long" if long else folder).glob("*.test"))
+def ros_tests(folder: str = "", timeout: float = LONG_TIMEOUT, **environment: str) -> Outcome:
+    """The rostest suites in a folder of ``test/ros``."""
+    suites = sorted((ROOT / "test" / "ros" / folder).glob("*.test"))
     if not suites:
         return Outcome(0, 1, note="no tests found")
     passed, failures = rostests.run_all(
         suites,
         RESULTS,
         jobs=int(os.environ.get("ROSTEST_JOBS", "7")),
-        timeout=LONG_TIMEOUT if long else rostests.SUITE_TIMEOUT,
+        timeout=timeout,
+        environment=environment,
     )
     failed = len(failures)
     return Outcome(passed, failed, "", f"{passed} passed, {failed} failed", failures)
@@ -210,7 +210,7 @@ Stage = Tuple[str, Callable[[], Outcome]]
 
 BUILD: Stage = ("build", check("make", "--no-print-directory", "build"))
 TOOLS: Stage = ("check tools", check("make", "--no-print-directory", "venv"))
-ROS_TESTS: Stage = ("ROS tests", ros_tests)
+ROS_TESTS: Stage = ("ROS tests", lambda: ros_tests(timeout=rostests.SUITE_TIMEOUT))
 #: Run beside the build.
 CHECKS: tuple[Stage, ...] = (
     TOOLS,
@@ -243,7 +243,8 @@ LONG_STAGES: tuple[Stage, ...] = (
     ("unit tests with delays", lambda: unit_tests(is_long=True, DYKNOW_DELAYS="1")),
     ("random unit tests", lambda: unit_tests(is_long=True, HYPOTHESIS_PROFILE="random")),
     ("long unit tests", lambda: unit_tests("long", True)),
-    ("long ROS tests", lambda: ros_tests(long=True)),
+    ("ROS tests with delays", lambda: ros_tests(PYTHONPATH=str(ROOT / "test" / "delayed"))),
+    ("long ROS tests", lambda: ros_tests("long")),
 )
 
 

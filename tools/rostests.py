@@ -14,7 +14,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Sequence
+from typing import Mapping, Sequence
 
 from processes import own_network, run_logged
 from reports import read_report
@@ -61,7 +61,11 @@ class SuiteOutcome:
 
 
 def run_all(
-    suites: Sequence[Path], results: Path, jobs: int, timeout: float
+    suites: Sequence[Path],
+    results: Path,
+    jobs: int,
+    timeout: float,
+    environment: Mapping[str, str],
 ) -> tuple[int, tuple[str, ...]]:
     """Runs the suites, at most `jobs` at a time and `timeout` s each, and prints a line for each.
 
@@ -76,7 +80,7 @@ def run_all(
     network = own_network()
     with ThreadPoolExecutor(max_workers=max(1, jobs)) as pool:
         runs = [
-            pool.submit(run_suite, suite, results, timeout, network)
+            pool.submit(run_suite, suite, results, timeout, network, environment)
             for suite in sorted(suites, key=lambda suite: _turn(suite.stem))
         ]
         for run in as_completed(runs):
@@ -98,7 +102,11 @@ def _turn(suite: str) -> int:
 
 
 def run_suite(
-    suite: Path, results: Path, timeout: float, network: tuple[str, ...]
+    suite: Path,
+    results: Path,
+    timeout: float,
+    network: tuple[str, ...],
+    environment: Mapping[str, str],
 ) -> SuiteOutcome:
     """Runs one suite in the built workspace, below a command that gives it a network."""
     home = results / "ros" / suite.stem
@@ -110,7 +118,7 @@ def run_suite(
         [*network, *IN_WORKSPACE, "rostest", f"--results-base-dir={home}", str(suite)],
         log,
         timeout,
-        {"ROS_HOME": str(home), "QT_QPA_PLATFORM": "offscreen"},
+        {"ROS_HOME": str(home), "QT_QPA_PLATFORM": "offscreen", **environment},
     )
     text = log.read_text(errors="replace")
     reports = [read_report(path) for path in sorted(home.glob("*/rosunit-*.xml"))]
