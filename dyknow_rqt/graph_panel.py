@@ -271,10 +271,12 @@ class GraphPanel(QWidget):
 
     @qt_slot
     def _follow_selection(self) -> None:
-        scene = self.view.scene()
+        scene, keys = self.view.scene(), self._selection.keys
+        wanted = {scene.vertices.get(key) or scene.edges.get(key) for key in keys}
         self._is_following = True
-        for key, item in (*scene.vertices.items(), *scene.edges.items()):
-            item.setSelected(key in self._selection.keys)
+        for item in wanted.symmetric_difference(scene.selectedItems()):
+            if item is not None:
+                item.setSelected(item in wanted)
         self._is_following = False
 
     @qt_slot

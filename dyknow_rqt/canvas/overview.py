@@ -40,8 +40,11 @@ _NARROW, _MARGIN = 90.0, 3.0
 _LONG = 600.0
 #: Pixels: the width of a line that stands for a ring.
 _RING = 2.2
-#: The most shapes that are painted at a time, the most with dashes, and pixels of a picture.
-_FEW, _FEW_DASHED, _MOST_PIXELS = 150, 10, 6e6
+#: Pixels of line that are painted at a time, how many of them one with dashes is worth, and what
+#: each shape takes beside its line.
+_AT_A_TIME, _DASHED, _EACH = 8000.0, 15.0, 40.0
+#: Pixels of a picture.
+_MOST_PIXELS = 6e6
 
 
 class Overview:
@@ -82,12 +85,16 @@ class Overview:
                 yield
             for strokes in (_arrows(edges), _shapes(vertices)):
                 found: Dict[_Look, List[QPainterPath]] = {}
+                room: Dict[_Look, float] = {}
                 for look, path in strokes:
-                    pieces = found.setdefault(look, [])
-                    few = _FEW if look[-1] == Qt.SolidLine else _FEW_DASHED
-                    if not pieces or pieces[-1].elementCount() > few * 4:
-                        pieces.append(QPainterPath())
-                    pieces[-1].addPath(path)
+                    across = path.controlPointRect()
+                    line = (across.width() + across.height()) * scale
+                    worth = _EACH + line * (1.0 if look[-1] == Qt.SolidLine else _DASHED)
+                    if room.get(look, 0.0) < worth:
+                        found.setdefault(look, []).append(QPainterPath())
+                        room[look] = _AT_A_TIME
+                    room[look] -= worth
+                    found[look][-1].addPath(path)
                     yield
                 for look, pieces in sorted(found.items()):
                     for path in pieces:
