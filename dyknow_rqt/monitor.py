@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from dataclasses import replace
 from typing import (
     TYPE_CHECKING,
     Any,
     Callable,
+    Deque,
     Dict,
     FrozenSet,
     Optional,
@@ -112,6 +114,7 @@ class GraphMonitor(QObject):
         self._revision = -1
         self._library_revision = -1
         self._changing = False
+        self._waiting: Deque[Callable[[], None]] = deque()
         self._system: Tuple[Side, Side] = ((), ())
         self._system_due = 0.0
         self._timer = QTimer(self, interval=_PERIOD, timeout=self.look)
@@ -158,18 +161,8 @@ class GraphMonitor(QObject):
 
     @property
     def is_changing(self) -> bool:
-        return self._changing
-
-    @property
-    def obstacle(self) -> str:
-        """Why no change can begin now; empty if one can."""
-        if self._changing:
-            return "another change is under way; try again when it is done"
-        if not self.is_linked:
-            return self.heart.status.text
-        if self._is_another:
-            return "the graph is being read from the beginning; try again"
-        return ""
+        """Whether a change is under way, or waits for that or for the graph to be read."""
+        return self._changing or bool(self._waiting)
 
     def stream(self, claim_id: str) -> Optional[StreamStatus]:
         return next((each for each in self.streams if each.claim_id == claim_id), None)
@@ -209,22 +202,34 @@ class GraphMonitor(QObject):
             say(self.heart.status.text)  # the threads are not to wait for it
 
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
-        """Make a change, which can then be undone if there is a way back.
+        """Make a change after those before it; it can be undone if there is a way back.
 
         Args:
             change: what to do.
             then: called in the thread of the window when it has been done.
         """
-        present = self._present()
 
         def note(done: DoneChange) -> None:
             self.history.note(done)
             then()
 
-        self._apply(change.text, lambda: change.apply(present), note)
+        def begin() -> None:
+            present = self._present()
+            self._apply(change.text, lambda: change.apply(present), note)
+
+        self._in_turn(begin)
 
     @qt_slot
     def undo(self) -> None:
+        self._in_turn(self._undo)
+
+    @qt_slot
+    def redo(self) -> None:
+        self._in_turn(self._redo)
+
+    # Inside
+
+    def _undo(self) -> None:
         done = self.history.last
         if done is None:
             raise CannotUndo("there is nothing to undo")
@@ -236,8 +241,7 @@ class GraphMonitor(QObject):
 
         self._apply(text, undo, lambda done: self.history.note_undone(), self.history.drop)
 
-    @qt_slot
-    def redo(self) -> None:
+    def _redo(self) -> None:
         change, present = self.history.next, self._present()
         if change is None:
             raise CannotUndo("there is nothing to redo")
@@ -249,7 +253,25 @@ class GraphMonitor(QObject):
 
         self._apply(again.text, redo, self.history.note_redone)
 
-    # Inside
+    def _in_turn(self, begin: Callable[[], None]) -> None:
+        """Begin a change as soon as it can begin from the graph that it is to change."""
+        if self._must_wait:
+            self._waiting.append(begin)
+        else:
+            begin()
+
+    @property
+    def _must_wait(self) -> bool:
+        """Whether another change is under way, or the graph is read from the beginning."""
+        return self.is_linked and (self._changing or self._is_another)
+
+    def _go_on(self) -> None:
+        while self._waiting and not self._must_wait:
+            self._begin_next()
+
+    @qt_slot
+    def _begin_next(self) -> None:
+        self._waiting.popleft()()
 
     def _present(self) -> Present:
         return Present(self._client, self.snapshot, dict(self.library))
@@ -261,7 +283,7 @@ class GraphMonitor(QObject):
         note: Callable[[DoneChange], None],
         no_way: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make one change at a time: the next begins from the graph that this one leaves.
+        """Make a change, if the manager answers; the next begins from the graph that it leaves.
 
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
@@ -273,8 +295,8 @@ class GraphMonitor(QObject):
             except DyKnowError:
                 return done, None
 
-        if self.obstacle:
-            self.failed.emit(f"{text}: {self.obstacle}")
+        if not self.is_linked:
+            self.failed.emit(f"{text}: {self.heart.status.text}")
             self.settled.emit()
             return
         self._changing = True
@@ -285,6 +307,7 @@ class GraphMonitor(QObject):
             signal.emit(words)
             self.settled.emit()
             self.look()
+            self._go_on()
 
         def made(result: Tuple[DoneChange, Optional[_Look]]) -> None:
             done, look = result
@@ -384,6 +407,7 @@ class GraphMonitor(QObject):
         self._take_snapshot(Snapshot(model.nodelets, nodes, taken, self.snapshot.pending))
         if model.library_revision != self._library_revision:
             self.read_library()
+        self._go_on()
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot != self.snapshot:
@@ -466,6 +490,7 @@ class GraphMonitor(QObject):
             self._link += 1
             self.look()
         self._tell_rates()
+        self._go_on()
 
 
 def _words(error: Any) -> str:

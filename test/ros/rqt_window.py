@@ -69,13 +69,12 @@ class Window:
         """Act when the manager answers, until it has an effect.
 
         A window that a busy machine has starved takes the manager for a silent one, and refuses.
-        It also refuses until it has read the graph.
         """
         self.refusals.clear()
         while not effect():
             while self.refusals:
-                self.assertRegex(self.refusals.pop(), "silent|is being read")
-            until(lambda: not self.monitor.obstacle, "a change can begin")
+                self.assertIn("silent", self.refusals.pop())
+            until(lambda: self.monitor.is_linked, "the manager answers")
             act()
             until(lambda: effect() or self.refusals, what)
         until(lambda: not self.monitor.is_changing, "the change has ended")

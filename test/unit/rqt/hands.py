@@ -49,7 +49,8 @@ def until(qtbot, condition):
 
 def is_ready(window):
     """Whether a change can begin, and no late answer makes the window read everything anew."""
-    return bool(window.monitor.heart._address) and not window.monitor.obstacle
+    monitor = window.monitor
+    return bool(monitor.heart._address) and monitor.is_linked and not monitor._must_wait
 
 
 def is_settled(window):

@@ -12,7 +12,7 @@ import pytest
 from clocks import HandClock, eventually, wait_for
 from python_qt_binding.QtGui import QPalette
 from unit.cli.fake_client import cases
-from unit.rqt.hands import create, until, vertex_keys
+from unit.rqt.hands import create, is_ready, until, vertex_keys
 from unit.rqt.seeing import contrast
 
 from dyknow.model.graph import SpawnRequest, State
@@ -205,7 +205,7 @@ def test_another_manager_of_the_name_is_read_from_the_beginning_without_undo(
     create(qtbot, window, "/first")
     remote.address = "rosrpc://localhost:40002"  # of its next life
     until(qtbot, lambda: window.monitor.heart._address == remote.address)
-    until(qtbot, lambda: not window.monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     assert window.graph.bar.undo.isEnabled()
     remote.client.remove_transformation("recorder")
     until(qtbot, lambda: "recorder" not in window.library.table.names())
@@ -221,6 +221,11 @@ def test_another_manager_of_the_name_is_read_from_the_beginning_without_undo(
     assert "recorder" in window.library.table.names()
     until(qtbot, lambda: not window.graph.bar.undo.isEnabled())
     assert window.monitor.history.texts == ("", "")
+
+
+def protected(remote, name):
+    """Whether a nodelet was to be protected, or released."""
+    return ("set_protection", name) in remote.client.calls
 
 
 class SlowChange(Change):
@@ -259,7 +264,7 @@ def test_models_that_waited_for_a_new_link_take_nothing_back(qtbot, window, remo
     monitor._hear(before)
     monitor._take_heard()
     assert monitor.snapshot.nodelet("/first") is not None
-    until(qtbot, lambda: not monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     assert monitor.history.texts[0] and monitor.snapshot.nodelet("/first") is not None
 
 
@@ -267,10 +272,46 @@ def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, windo
     create(qtbot, window, "/first")
     window.monitor._follow_link(True)
     window.monitor.do(protect("/first", True))
-    assert "read from the beginning" in window.line.text and not window.monitor.is_changing
-    until(qtbot, lambda: not window.monitor.obstacle)
+    assert not protected(remote, "/first")
+    until(qtbot, lambda: remote.graph().nodelet("/first").is_protected)
+    window.monitor.undo()
     window.monitor.undo()
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
+
+
+def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
+    """Each begins from the graph that the one before it leaves, and is undone alone."""
+    monitor, slow = window.monitor, SlowChange()
+    monitor.do(slow)
+    monitor.do(protect("/second", True))
+    monitor.undo()
+    monitor.redo()
+    monitor.redo()  # there is nothing left: that holds up nothing
+    monitor.do(spawn(SpawnRequest("tracker", "/third")))
+    assert monitor.is_changing and not protected(remote, "/second")
+    slow.may.set()
+    until(qtbot, lambda: not monitor.is_changing)
+    assert remote.graph().nodelet("/second").is_protected and remote.graph().nodelet("/third")
+    assert [each.change.text for each in monitor.history._done] == [
+        "slow",
+        "protect /second",
+        "create /third",
+    ]
+
+
+def test_changes_that_wait_for_a_manager_that_falls_silent_are_refused(qtbot, window, remote):
+    monitor, slow, refused = window.monitor, SlowChange(), []
+    monitor.failed.connect(refused.append)
+    monitor.do(slow)
+    monitor.do(protect("/field/tracker", True))
+    remote.client.is_up = False
+    until(qtbot, lambda: not monitor.is_linked)
+    slow.may.set()
+    until(qtbot, lambda: not monitor.is_changing)
+    assert any(each.startswith("protect /field/tracker: ") for each in refused)
+    remote.client.is_up = True
+    until(qtbot, lambda: is_ready(window))
+    assert not remote.graph().nodelet("/field/tracker").is_protected
 
 
 def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from python_qt_binding.QtCore import QEvent, QPoint, Qt
 from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QApplication, QMenu
-from unit.rqt.hands import TRACKER, centre_of, context_menu, topic, until, vertex_keys
+from unit.rqt.hands import TRACKER, centre_of, context_menu, is_ready, topic, until, vertex_keys
 
 from dyknow_rqt.canvas import slices
 from dyknow_rqt.graph.figure import VertexKind
@@ -135,7 +135,7 @@ def test_the_nodelets_of_a_stream_are_those_after_a_repair(qtbot, window, remote
     window.tabs.setCurrentWidget(window.streams)
     window.streams.tag.setText("Track(ball)")
     # Not while it seems silent on a busy machine.
-    until(qtbot, lambda: not window.monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     window.streams.acquire.click()
     until(qtbot, lambda: "n_/tracker_1" in vertex_keys(window))
     until(qtbot, lambda: len(window.streams.table.names()) == 1)

@@ -138,7 +138,7 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     until(qtbot, lambda: "undo 'create /first': " in window.line.text)
     remote.client.is_up = True
     # Its silence may have been noticed.
-    until(qtbot, lambda: not window.monitor.obstacle)
+    until(qtbot, lambda: is_ready(window))
     click(qtbot, window.graph.bar.undo)
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
