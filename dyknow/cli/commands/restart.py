@@ -12,7 +12,7 @@ from typing import Iterable, Sequence
 from dyknow.cli import completion
 from dyknow.cli.arguments import argument, flag, group
 from dyknow.cli.shell import Acted, Shell, command
-from dyknow.model.graph import Model, NodeletStatus
+from dyknow.model.graph import Model, NodeletKind, NodeletStatus
 from dyknow.model.transformation import Parameter
 
 
@@ -73,7 +73,11 @@ def _restart_all(names: Iterable[str], shell: Shell, indent: int | None = 2) -> 
 
 
 def _watch(names: Sequence[str], shell: Shell) -> None:
-    """Restart outdated nodelets; one that stays outdated is tried again at its next change."""
+    """Restart outdated nodelets; one that stays outdated is tried again at its next change.
+
+    A nodelet in C++ that shares its process keeps the library of that. Any other one has the code
+    of the moment of its restart: if it is outdated, the code was saved again since.
+    """
     tried: dict[str, tuple[str, int]] = {}
 
     def due(model: Model) -> list[NodeletStatus]:
@@ -92,7 +96,8 @@ def _watch(names: Sequence[str], shell: Shell) -> None:
             tried[each.name] = each.outdated, model.library_revision
             if not _restart_all([each.name], shell, indent=None):
                 now = shell.client.get_graph().nodelet(each.name)
-                if now is None or not now.outdated:
+                keeps_library = each.kind is NodeletKind.CPP and not each.isolated
+                if now is None or not (now.outdated and keeps_library):
                     del tried[each.name]
 
 

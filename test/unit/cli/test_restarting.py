@@ -12,7 +12,7 @@ from unit.cli.fake_client import play, run
 
 from dyknow.cli.shell import UNREACHABLE
 from dyknow.errors import ManagerUnreachable
-from dyknow.model.graph import Restarted
+from dyknow.model.graph import NodeletKind, Restarted
 
 #: With a camera, and a protected relay behind it.
 SESSIONS = {
@@ -77,6 +77,7 @@ def test_a_watched_nodelet_that_stays_outdated_is_restarted_once(chain, monkeypa
     chain.host.code["pkg/Camera"] = "1"
     chain.core.restart("cam")
     chain.host.code["pkg/Camera"] = "2"
+    chain.alter("/cam", kind=NodeletKind.CPP)
     restarted = []
 
     def restart(name):
@@ -87,6 +88,30 @@ def test_a_watched_nodelet_that_stays_outdated_is_restarted_once(chain, monkeypa
     watch(chain, monkeypatch, [lambda: None] * 3)
     run(chain, "restart --watch cam")
     assert restarted == ["/cam"]
+
+
+def test_what_is_saved_again_during_a_restart_is_run(chain, monkeypatch):
+    chain.host.code["pkg/Camera"] = "1"
+    chain.core.restart("cam")
+    saved = ["2", "3"]
+    restart = chain.restart
+
+    def save():
+        if saved:
+            chain.host.code["pkg/Camera"] = saved.pop(0)
+
+    def restarted(name):
+        done = restart(name)
+        save()
+        chain.core.look()
+        return done
+
+    monkeypatch.setattr(chain, "restart", restarted)
+    watch(chain, monkeypatch, [save, *[lambda: None] * 3])
+    chain.calls.clear()
+    run(chain, "restart --watch cam")
+    assert [call for call, _ in chain.calls] == ["restart"] * 2
+    assert not chain.get_graph().nodelet("/cam").outdated
 
 
 def test_what_is_watched_is_restarted_once_for_each_change(chain, monkeypatch):
