@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "dyknow_shared.h"
+#include "names.h"
 #include "registry.h"
 
 namespace dyknow

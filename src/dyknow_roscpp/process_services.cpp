@@ -11,6 +11,7 @@
 #include <ros/advertise_service_options.h>
 #include <ros/callback_queue.h>
 #include <ros/service_manager.h>
+#include <ros/service_publication.h>
 #include <ros/single_subscriber_publisher.h>
 #include <ros/this_node.h>
 #include <ros/xmlrpc_manager.h>
