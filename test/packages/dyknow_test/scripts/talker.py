@@ -12,7 +12,7 @@ import rospy
 from script_sibling import Word
 from std_msgs.msg import String
 
-publisher = rospy.Publisher("words", String, queue_size=10)
+publisher = rospy.Publisher("words", String, queue_size=1000)
 
 
 def main():
