@@ -185,7 +185,7 @@ class EdgeItem(Item):
         painter.setPen(Qt.NoPen)
         painter.drawPolygon(self._head(_ARROW + 2 * (self.breadth - _THIN)))
         least = LEAST_TEXT / (self._height * painter.worldTransform().m11())
-        most = self.label_scale
+        most = self.label_scale if least <= ROOM else 0.0
         if least <= most:
             painter.setFont(self._font)
             painter.setPen(self.colours.alarm if self.is_dropping else self.colours.muted)

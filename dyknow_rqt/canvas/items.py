@@ -30,6 +30,8 @@ from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.verdicts import PortVerdict
 
 PORT_RADIUS = 4.0
+#: Pixels: a smaller dot tells nothing beside the arrow that ends in it.
+_LEAST_DOT = 1.5
 #: Opacity of the halo around a marked item, of 255.
 _HALO = 150
 
@@ -196,6 +198,9 @@ class PortItem(Item):
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw a dot, filled when connected; a square for a formula that does not hold."""
         large = self._hovered or bool(self.offered)
+        is_plain = not large and self.truth is not Truth.FALSE
+        if is_plain and PORT_RADIUS * painter.worldTransform().m11() < _LEAST_DOT:
+            return
         radius = PORT_RADIUS + (2 if large else 0)
         colour = self.colours.chosen if large else self.colours.of_truth(self.truth)
         painter.setPen(QPen(colour, 1.2))

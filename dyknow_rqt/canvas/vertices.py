@@ -161,7 +161,8 @@ class VertexItem(Item):
 
     @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
-        self.paint_mark(painter, self.shape())
+        if self.mark is not None:
+            self.paint_mark(painter, self.shape())
         self._paint_ring(painter)
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
@@ -175,9 +176,11 @@ class VertexItem(Item):
             if self.appearance.is_protected:
                 painter.setBrush(Qt.NoBrush)
                 painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
-        font = QFont(self._font)
-        font.setStrikeOut(self.tone is Tone.DROPPED)
-        painter.setFont(font)
+        painter.setFont(self._font)
+        if self.tone is Tone.DROPPED:
+            font = QFont(self._font)
+            font.setStrikeOut(True)
+            painter.setFont(font)
         painter.setPen(self._text_colour())
         larger = LEAST_TEXT / (self._height * painter.worldTransform().m11())
         badge, label = self._badge() if larger < _MOST else "", self._label

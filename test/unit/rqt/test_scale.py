@@ -5,12 +5,24 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from unittest.mock import Mock
+
 import pytest
 from python_qt_binding.QtCore import QObject, QPoint, Qt
 from python_qt_binding.QtGui import QImage, QPalette
 from python_qt_binding.QtWidgets import QToolButton
-from unit.rqt.hands import button_of, centre_of, click, is_settled, until, vertex_keys, window_of
+from unit.rqt.hands import (
+    button_of,
+    centre_of,
+    click,
+    is_settled,
+    until,
+    vertex_keys,
+    window_of,
+)
 
+from dyknow.formulas import Truth
 from dyknow_rqt.canvas import arrows, vertices
 from dyknow_rqt.canvas.overview import FAR
 from dyknow_rqt.canvas.slices import Slices
@@ -297,3 +309,16 @@ def test_icons_are_seen_on_any_ground(qtbot, shared):
         inks = {each.lightness() for each in strokes if each.alpha() > 240}
         assert inks and all(abs(ink - words.lightness()) < 40 for ink in inks), ground.name()
     shared.setPalette(QPalette())
+
+
+@pytest.mark.parametrize(
+    ("zoom", "truth", "is_seen"),
+    [(1.0, Truth.UNKNOWN, True), (0.3, Truth.UNKNOWN, False), (0.3, Truth.FALSE, True)],
+)
+def test_ports_are_painted_where_they_tell_something(window, zoom, truth, is_seen):
+    vertices = window.graph.view.scene().vertices.values()
+    item, painter = next(port for each in vertices for port in each.ports.values()), Mock()
+    painter.worldTransform.return_value.m11.return_value = zoom
+    item.verdict = SimpleNamespace(truth=truth)
+    item.paint(painter, None)
+    assert (painter.drawEllipse.called or painter.drawRect.called) is is_seen
