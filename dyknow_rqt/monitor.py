@@ -82,7 +82,7 @@ class GraphMonitor(QObject):
     streams_changed = Signal()
     #: An error, in words.
     failed = Signal(str)
-    #: A change is being made, in words.
+    #: A change is being made, or waits, in words.
     begun = Signal(str)
     #: A change was made, in words.
     done = Signal(str)
@@ -217,15 +217,15 @@ class GraphMonitor(QObject):
             present = self._present()
             self._apply(change.text, lambda: change.apply(present), note)
 
-        self._in_turn(begin)
+        self._in_turn(change.text, begin)
 
     @qt_slot
     def undo(self) -> None:
-        self._in_turn(self._undo)
+        self._in_turn("undo", self._undo)
 
     @qt_slot
     def redo(self) -> None:
-        self._in_turn(self._redo)
+        self._in_turn("redo", self._redo)
 
     # Inside
 
@@ -253,10 +253,12 @@ class GraphMonitor(QObject):
 
         self._apply(again.text, redo, self.history.note_redone)
 
-    def _in_turn(self, begin: Callable[[], None]) -> None:
+    def _in_turn(self, text: str, begin: Callable[[], None]) -> None:
         """Begin a change as soon as it can begin from the graph that it is to change."""
         if self._must_wait:
             self._waiting.append(begin)
+            awaited = "the change before it" if self._changing else "the graph to be read"
+            self.begun.emit(f"{text}: waiting for {awaited} …")
         else:
             begin()
 

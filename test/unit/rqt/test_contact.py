@@ -273,6 +273,7 @@ def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, windo
     window.monitor._follow_link(True)
     window.monitor.do(protect("/first", True))
     assert not protected(remote, "/first")
+    assert "protect /first: waiting for the graph to be read" in window.line.text
     until(qtbot, lambda: remote.graph().nodelet("/first").is_protected)
     window.monitor.undo()
     window.monitor.undo()
@@ -284,6 +285,7 @@ def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
     monitor, slow = window.monitor, SlowChange()
     monitor.do(slow)
     monitor.do(protect("/second", True))
+    assert "protect /second: waiting for the change before it" in window.line.text
     monitor.undo()
     monitor.redo()
     monitor.redo()  # there is nothing left: that holds up nothing
