@@ -95,9 +95,9 @@ def _watch(names: Sequence[str], shell: Shell) -> None:
             assert model is not None
             tried[each.name] = each.outdated, model.library_revision
             if not _restart_all([each.name], shell, indent=None):
-                now = shell.client.get_graph().nodelet(each.name)
                 keeps_library = each.kind is NodeletKind.CPP and not each.isolated
-                if now is None or not (now.outdated and keeps_library):
+                now = shell.client.get_graph().nodelet(each.name) if keeps_library else None
+                if now is None or not now.outdated:
                     del tried[each.name]
 
 
