@@ -132,6 +132,8 @@ def test_no_publication_narrows_the_queues_of_another_one(topic, queue_sizes, ex
         topic.advertise(size)
         topic.subscribe(f"/{size}_{len(topic.sockets)}")
     assert topic.sizes() == [expected] * 2
+    topic.subscribe("/later")
+    assert topic.sizes() == [expected] * 3
 
 
 def test_a_publication_that_comes_while_a_subscriber_connects(topic):
@@ -146,6 +148,8 @@ def test_a_publication_that_comes_while_a_subscriber_connects(topic):
     topic.subscribe()
     topic.handles.widen(7)
     assert topic.sizes() == [7]
+    topic.subscribe("/later")
+    assert topic.sizes() == [7, 7]
 
 
 def test_a_subscriber_that_connects_during_the_registration_has_a_queue_too(topic):
