@@ -289,6 +289,7 @@ class Bus:
                 if part.link is None:
                     part.registration.wait(seconds)
                 else:  # each publisher is waited for, also when the first has sent
+                    part.link.outside = part.registration
                     part.registration.wait(threading.Event().wait, seconds)
                     missing += part.registration.missing()
         except BaseException:

@@ -206,6 +206,11 @@ class Connection:
                 self._noted.clear()
                 self._state = _NOTED if is_noted else _OPEN
 
+    def noted(self, after: float) -> list[tuple[float, Any]]:
+        """Return the messages since ``note`` that came after a moment, each with its time."""
+        with message_lock:
+            return [each for each in self._noted if each[0] > after]
+
     def take(self) -> tuple[list[tuple[float, Any]], list[Any]]:
         """Return the messages since ``note``, and take those that are not delivered yet."""
         with message_lock:

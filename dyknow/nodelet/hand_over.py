@@ -6,9 +6,10 @@
 1. The old process starts to note the messages that the nodelet receives (``note``).
 2. The new one connects to the same topics and keeps their messages (``park``): once all
    publishers are connected no message passes by both. Subscribers connect to it, too.
-3. The old one waits for what publishers have queued, drains its sockets, disconnects the nodelet,
-   waits until its callbacks have returned and all that it published is sent, and unloads it
-   (``give``).
+3. The old one waits for the last messages that the new one had received (``give``): a publisher
+   that got no processor time may have messages queued for the old one alone, which come before
+   those. It drains its sockets, disconnects the nodelet, waits until its callbacks have returned
+   and all that it published is sent, and unloads it.
 4. The new one drops the messages that the nodelet has received, and puts those that waited for it
    in the old one before the rest (``take``). The nodelet is loaded there as ever, and its
    subscriptions take these messages over.
@@ -28,6 +29,7 @@ from __future__ import annotations
 import functools
 import json
 import logging
+import math
 import threading
 import time
 import weakref
@@ -45,10 +47,11 @@ from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Strand
 from dyknow.periodic import in_background
 
-#: Seconds for publishers and subscribers to connect to the new process.
+#: Seconds for publishers and subscribers to connect to the new process, and for the publishers of
+#: a topic on which messages flow to send the next one.
 PATIENCE = 2.0
-#: Seconds for publishers to send what they have queued; those of slow topics cost that much.
-_CATCH_UP = 0.25
+#: The same for the publishers of a silent topic, which cost that much.
+_SILENCE = 0.25
 #: Seconds to drain the sockets of a nodelet, and for its callback to return.
 LONGEST_END = 3.0
 #: Seconds after which an unfinished move is abandoned.
@@ -79,6 +82,7 @@ class HandedTopic:
         waiting: messages that it was given, and has not received, serialised.
         latch: whether an output latches.
         options: further options of an output, as JSON.
+        flows: whether messages have come regularly to an input.
     """
 
     topic: str
@@ -88,6 +92,7 @@ class HandedTopic:
     waiting: tuple[bytes, ...] = ()
     latch: bool = False
     options: str = "{}"
+    flows: bool = False
 
 
 @dataclass(eq=False)
@@ -163,8 +168,12 @@ class HandOvers(Closable):
             connection.note(True)
         return [*map(_input, connections), *_outputs(outputs)]
 
-    def give(self, name: str) -> list[HandedTopic]:
+    def give(self, name: str, parked: Sequence[HandedTopic] = ()) -> list[HandedTopic]:
         """Unload a noted nodelet; returns its ends, with their messages.
+
+        Args:
+            name: of the nodelet.
+            parked: what ``park`` returned in the new process.
 
         Raises:
             CannotMove: it runs on, untouched.
@@ -176,8 +185,9 @@ class HandOvers(Closable):
             if move is None or move.is_given or move.context() is not context:
                 raise CannotMove(name, _ELSEWHERE)
             move.is_given = True
-        deadline = time.monotonic() + LONGEST_END
         try:
+            self._catch_up(move, parked)
+            deadline = time.monotonic() + LONGEST_END
             registrations = self._detached(name, move, deadline)
         except BaseException:
             move.is_given = False
@@ -207,6 +217,23 @@ class HandOvers(Closable):
                 self._end(name, move)
         return [*given, *_outputs(move.outputs)]
 
+    def _catch_up(self, move: _Move, parked: Sequence[HandedTopic]) -> None:
+        """Wait until the messages have come that the new process had received, or time is up.
+
+        They do not come if a publisher has dropped them from its queue for this process.
+        """
+        until = time.monotonic() + PATIENCE
+        for connection, topic in zip(move.noted, _inputs(parked)):
+            due, last = {digest for _, digest in topic.given}, -math.inf
+            while due and not move.ended.is_set() and time.monotonic() < until:
+                noted = connection.noted(last)
+                for _, message in noted:
+                    due.discard(_attempt(self._runtime.transport.digest, message) or b"")
+                if noted:
+                    last = noted[-1][0]
+                else:
+                    time.sleep(_STEP)
+
     def _detached(self, name: str, move: _Move, deadline: float) -> list[OutsideSubscriber]:
         """Disconnect a nodelet; returns registrations that are to be withdrawn.
 
@@ -218,9 +245,6 @@ class HandOvers(Closable):
         registrations = None
         try:
             outside = [each.outside for each in connections if each.outside is not None]
-            until = time.monotonic() + _CATCH_UP
-            for registration in outside:  # some may have been published before the new one came
-                registration.catch_up(max(0.0, until - time.monotonic()))
             for registration in outside:
                 registration.drain(max(0.0, deadline - time.monotonic()))
             if not move.ended.is_set():
@@ -249,8 +273,10 @@ class HandOvers(Closable):
 
     # In the new process
 
-    def park(self, name: str, topics: Sequence[HandedTopic]) -> None:
+    def park(self, name: str, topics: Sequence[HandedTopic]) -> list[HandedTopic]:
         """Keep the messages on the topics of a nodelet that is to be loaded here.
+
+        Returns its inputs, each with the last message of every publisher that has sent one since.
 
         Raises CannotMove if a publisher does not connect, and the errors of ``Bus.park``.
         """
@@ -294,6 +320,13 @@ class HandOvers(Closable):
         if move.ended.is_set():
             runtime.bus.unpark(move.ends)
             raise CannotMove(name, "its move was ended meanwhile")
+        began = time.monotonic()
+        inputs = _inputs(topics)
+        for link, each in zip(links, inputs):
+            until = began + (PATIENCE if each.flows else _SILENCE)
+            if link.outside is not None:
+                link.outside.hear(link.arrived, max(0.0, until - time.monotonic()))
+        return [replace(e, given=tuple(link.latest())) for link, e in zip(links, inputs)]
 
     def take(self, name: str, topics: Sequence[HandedTopic]) -> None:
         """Drop the messages that a parked nodelet received in its old process.
@@ -304,8 +337,7 @@ class HandOvers(Closable):
             move = self._moves.get(name)
         if move is None or move.links is None:
             raise CannotMove(name, _NOT_KEPT)
-        inputs = [each for each in topics if each.direction == IN]
-        for link, each in zip(move.links, inputs):
+        for link, each in zip(move.links, _inputs(topics)):
             unpack = functools.partial(self._runtime.transport.unpack, link.subscription.datatype)
             if not link.leave_out(each.given, list(_successes(link, unpack, each.waiting))):
                 raise CannotMove(name, _NOT_KEPT)
@@ -383,7 +415,13 @@ def _outputs(publications: Sequence[tuple[Publication, str]]) -> list[HandedTopi
 
 
 def _input(connection: Connection) -> HandedTopic:
-    return HandedTopic(connection.topic, connection.subscription.datatype._type, IN)
+    subscription = connection.subscription
+    flows = subscription.traffic.rate() > 0
+    return HandedTopic(connection.topic, subscription.datatype._type, IN, flows=flows)
+
+
+def _inputs(topics: Sequence[HandedTopic]) -> list[HandedTopic]:
+    return [each for each in topics if each.direction == IN]
 
 
 def _as_it_is(receive: Receive) -> Receive:

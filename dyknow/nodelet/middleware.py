@@ -130,8 +130,8 @@ class OutsideSubscriber(Closable):
         """Addresses of publishers that answer, and did not send to us when ``wait`` ended."""
         return []
 
-    def catch_up(self, seconds: float) -> None:
-        """Wait until each publisher has sent what it had queued before, as far as that shows."""
+    def hear(self, arrived: Callable[[float], bool], seconds: float) -> None:
+        """Return when each publisher has sent a message, or time is up; ``arrived`` as above."""
 
     @abstractmethod
     def drain(self, seconds: float) -> None:

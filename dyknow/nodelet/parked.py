@@ -79,6 +79,23 @@ class ParkedConnection(Connection):
             self._began = self._strand.clock()
         super().push_locked(message)
 
+    def latest(self) -> list[tuple[float, bytes]]:
+        """Return the last message of each publisher: its digest, with the present time.
+
+        A message that a publisher sent because it latches, before any other, is not among them:
+        the nodelet may have received it long ago.
+        """
+        with message_lock:
+            held, now = list(self._queue), self._strand.clock()
+        first: dict[str, Any] = {}
+        last: dict[str, Any] = {}
+        for message in held:
+            publisher = str(_header(message).get("callerid", ""))
+            if first.setdefault(publisher, message) is not message or not latching(message):
+                last[publisher] = message
+        digests = map(self._digest_of, last.values())
+        return [(now, digest) for digest in digests if digest is not None]
+
     def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> bool:
         """Drop the messages that the nodelet received in the other process, but for waiting ones.
 
@@ -159,5 +176,9 @@ class ParkedConnection(Connection):
 
 def latching(message: Any) -> str:
     """Return the publisher of a message that rospy received, if that latches; else empty."""
-    header = getattr(message, "_connection_header", None) or {}
+    header = _header(message)
     return str(header.get("callerid", "?")) if header.get("latching") == "1" else ""
+
+
+def _header(message: Any) -> dict[str, str]:
+    return getattr(message, "_connection_header", None) or {}

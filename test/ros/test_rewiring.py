@@ -443,8 +443,8 @@ class HandOverTest(TellingCase):
 
     def move(self, source, target):
         topics = self.noted(source)
-        self.step(target, HandOverRequest.PARK, topics)
-        given = self.step(source, HandOverRequest.GIVE)
+        parked = self.step(target, HandOverRequest.PARK, topics)
+        given = self.step(source, HandOverRequest.GIVE, parked)
         self.step(target, HandOverRequest.TAKE, given)
         self.load(target)
         self.step(target, HandOverRequest.END)

@@ -280,13 +280,13 @@ class RosHost(Host):
         """Move a nodelet as ``dyknow.nodelet.hand_over`` says."""
 
         def hand_over() -> None:
-            given = self._hand_over(source, name, HandOverRequest.GIVE)
+            given = self._hand_over(source, name, HandOverRequest.GIVE, parked)
             with contextlib.suppress(HostError):
                 self._hand_over(target, name, HandOverRequest.TAKE, given)
 
         try:
             topics = self._hand_over(source, name, HandOverRequest.NOTE)
-            self._hand_over(target, name, HandOverRequest.PARK, topics)
+            parked = self._hand_over(target, name, HandOverRequest.PARK, topics)
             yield hand_over
         finally:
             for manager in (target, source):

@@ -57,15 +57,15 @@ class HandOverService(Closable):
             raise rospy.ServiceException(sendable(error)) from error
 
     def _step(self, name: str, step: int, topics: Any) -> list[msg.HandedTopic]:
-        moves = self._hand_overs
+        moves, ends = self._hand_overs, list(map(topic_from, topics))
         if step == HandOverRequest.NOTE:
             return list(map(topic_message, moves.note(name)))
         if step == HandOverRequest.GIVE:
-            return list(map(topic_message, moves.give(name)))
+            return list(map(topic_message, moves.give(name, ends)))
         if step == HandOverRequest.PARK:
-            moves.park(name, list(map(topic_from, topics)))
-        elif step == HandOverRequest.TAKE:
-            moves.take(name, list(map(topic_from, topics)))
+            return list(map(topic_message, moves.park(name, ends)))
+        if step == HandOverRequest.TAKE:
+            moves.take(name, ends)
         else:
             moves.end(name)
         return []
@@ -77,7 +77,7 @@ def topic_message(topic: HandedTopic) -> msg.HandedTopic:
     times = [moment for moment, _ in topic.given]
     sizes = list(map(len, topic.waiting))
     waiting = b"".join(topic.waiting)
-    fields = (digests, times, waiting, sizes, topic.latch, topic.options)
+    fields = (digests, times, waiting, sizes, topic.latch, topic.options, topic.flows)
     return msg.HandedTopic(topic.topic, topic.datatype, direction, *fields)
 
 
@@ -86,7 +86,7 @@ def topic_from(message: Any) -> HandedTopic:
     direction = IN if message.direction == msg.Port.IN else OUT
     given = tuple(zip(message.arrived, digests))
     waiting = tuple(_parts(message.waiting, message.sizes))
-    fields = (given, waiting, message.latch, message.options)
+    fields = (given, waiting, message.latch, message.options, message.flows)
     return HandedTopic(message.topic, message.datatype, direction, *fields)
 
 

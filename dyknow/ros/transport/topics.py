@@ -286,17 +286,13 @@ class RospySubscriber(OutsideSubscriber):
         except (PeerTimeout, LookupError):
             return False
 
-    def catch_up(self, seconds: float) -> None:
-        """Wait until each connection has brought a message, or time is up.
-
-        A publisher that gets no processor time has messages queued, which its thread sends at once
-        when it goes on. They are not in our sockets yet, so ``drain`` does not find them.
-        """
+    def hear(self, arrived: Callable[[float], bool], seconds: float) -> None:
+        deadline = time.monotonic() + seconds
         came = {each: each.stat_num_msg for each in self.links()}
+        if self.publishers():
+            arrived(seconds)
         _wait_while(
-            lambda each: not each.done and each.stat_num_msg == came[each],
-            [*came],
-            time.monotonic() + seconds,
+            lambda each: not each.done and each.stat_num_msg == came[each], [*came], deadline
         )
 
     def drain(self, seconds: float) -> None:

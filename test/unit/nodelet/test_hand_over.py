@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections import deque
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
@@ -35,6 +37,10 @@ class Latched(Message):
     """A message that rospy has received from a publisher that latches."""
 
     _connection_header = {"latching": "1"}
+
+
+class OtherLatched(Message):
+    _connection_header = {"latching": "1", "callerid": "/other"}
 
 
 @pytest.fixture(autouse=True)
@@ -141,6 +147,69 @@ def test_each_message_is_received_once_in_order_whenever_it_arrives(schedule):
         new.world.drain()
         assert received == list(range(published))
         assert old.world.registrations == []
+
+
+@pytest.mark.parametrize("patience", [10.0, 0.0])
+@pytest.mark.parametrize("count", range(2, 6))
+def test_what_a_publisher_has_queued_for_the_old_process_is_awaited(monkeypatch, count, patience):
+    clock, received, queued = FakeClock(), [], deque(range(count))
+
+    def sleep(seconds):
+        clock.seconds += 0.01
+        if queued and patience:
+            old.send(queued.popleft())
+        time.sleep(seconds)
+
+    monkeypatch.setattr(hand_over, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
+    monkeypatch.setattr(hand_over, "PATIENCE", patience)
+    with places(clock, received) as (old, new):
+        new.world.transport.on_made = lambda made: setattr(
+            made,
+            "hear",
+            lambda *args: made.topic == "/t" and [new.send(count - 2 + i) for i in (0, 1)],
+        )
+        parked = new.moves.park(NAME, old.moves.note(NAME))
+        given = old.moves.give(NAME, parked)
+        finish(new, given)
+        assert received == (list(range(count)) if patience else [count - 2, count - 1])
+        assert old.world.registrations == []
+
+
+@pytest.mark.parametrize(
+    ("sent", "expected"),
+    [
+        ([], []),
+        ([(Message, 1), (Message, 2)], [2]),
+        ([(Message, 1), (OtherLatched, 2)], [1]),
+        ([(Latched, 2), (Latched, 3), (OtherLatched, 4)], [3]),
+    ],
+)
+def test_the_last_message_of_each_publisher_is_awaited_unless_it_was_latched(sent, expected):
+    place, topics, _ = parked()
+    place.moves.end(NAME)
+    place.world.transport.on_made = lambda made: setattr(
+        made, "hear", lambda *args: made.topic == "/t" and [place.send(n, kind=k) for k, n in sent]
+    )
+    digests = [digest for each in place.moves.park(NAME, topics) for _, digest in each.given]
+    assert digests == [place.world.transport.digest(Message(number)) for number in expected]
+
+
+@pytest.mark.parametrize(("count", "seconds"), [(0, 0.25), (1, 0.25), (2, 2.0)])
+def test_the_publishers_of_a_topic_on_which_messages_flow_have_more_time(
+    monkeypatch, count, seconds
+):
+    monkeypatch.setattr(hand_over, "time", SimpleNamespace(monotonic=lambda: 100.0))
+    clock, asked = FakeClock(), {}
+    with places(clock, []) as (old, new):
+        for number in range(count):
+            old.send(number)
+            old.world.drain()
+            clock.seconds += 0.1
+        new.world.transport.on_made = lambda made: setattr(
+            made, "hear", lambda arrived, limit: asked.update({made.topic: limit})
+        )
+        new.moves.park(NAME, old.moves.note(NAME))
+    assert asked == {"/t": seconds, "/plain": 0.25}
 
 
 def test_the_ends_and_the_places_of_a_move():
@@ -283,10 +352,6 @@ def test_the_last_message_of_a_latched_topic_comes_again():
         place.send(number, kind=Latched)
     finish(place, given_in(place, topics, [(100.0, n) for n in range(3)]))
     assert received == [2]
-
-
-class OtherLatched(Message):
-    _connection_header = {"latching": "1", "callerid": "/other"}
 
 
 @pytest.mark.parametrize(("waits", "expected"), [(None, [3, 4]), (4, [4, 3]), (9, [9, 3, 4])])

@@ -111,9 +111,10 @@ def test_a_message_that_has_come_in_part_is_received_before_the_topic_is_left(
     assert topic.received == [(name, "whole" * 1000) for name in names]
 
 
-def test_messages_that_a_publisher_has_queued_are_awaited(topic, monkeypatch):
+def test_the_next_message_of_each_publisher_is_awaited(topic, monkeypatch):
     leaving = topic.subscribe("one")
     queued = [frame("first") + frame("last")]
+    asked = []
 
     def sleep(seconds):
         if queued:
@@ -121,12 +122,13 @@ def test_messages_that_a_publisher_has_queued_are_awaited(topic, monkeypatch):
         time.sleep(seconds)
 
     monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
-    leaving.catch_up(0.0)
+    leaving.hear(asked.append, 0.0)
     assert queued, "it waits for no time"
-    leaving.catch_up(PATIENCE)
+    leaving.hear(asked.append, PATIENCE)
     leaving.drain(PATIENCE)
     assert topic.received == [("one", "first"), ("one", "last")]
-    leaving.catch_up(PATIENCE)  # the connection has ended
+    leaving.hear(asked.append, PATIENCE)  # the connection has ended
+    assert asked[:2] == [0.0, PATIENCE], "messages of this process count too"
 
 
 def test_a_message_that_does_not_come_wholly_is_not_awaited_for_ever(topic):
