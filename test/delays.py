@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Random delays where threads begin, wake up, wake others and log, as a busy machine makes them.
+"""Random delays where threads begin, wake up, wake others, send and log, as on a busy machine.
 
 They find tests that depend on the moment when a thread gets the processor: most delays are below
 0.03 s, rare ones up to 0.6 s.
@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import logging
 import random
+import socket
 import sys
 import threading
 import time
@@ -24,15 +25,15 @@ _sleep = time.sleep
 def install() -> None:
     """Delay the threads of this process from now on."""
     sys.setswitchinterval(0.0005)
-    for method, before, after in (
-        (threading.Thread.start, 0.0, 0.2),
-        (threading.Thread.run, 0.6, 0.0),
-        (threading.Condition.wait, 0.0, 0.1),
-        (threading.Condition.notify, 0.03, 0.0),
-        (threading.Event.set, 0.0, 0.2),
+    for owner, method, before, after in (
+        (threading.Thread, "start", 0.0, 0.2),
+        (threading.Thread, "run", 0.6, 0.0),
+        (threading.Condition, "wait", 0.0, 0.1),
+        (threading.Condition, "notify", 0.03, 0.0),
+        (threading.Event, "set", 0.0, 0.2),
+        (socket.socket, "sendall", 0.1, 0.0),
     ):
-        owner = getattr(threading, method.__qualname__.split(".")[0])
-        setattr(owner, method.__name__, _delayed(method, before, after))
+        setattr(owner, method, _delayed(getattr(owner, method), before, after))
     logging.setLogRecordFactory(_delayed(logging.getLogRecordFactory(), 0.1, 0.0))
 
 
