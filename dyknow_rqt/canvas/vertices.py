@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _OVER = 4.0
 #: Pixels that a name may be wider than its vertex, over the ends of its arrows.
 _BESIDE = 44.0
+#: Size of a vertex that is drawn around its name, in that of the name.
+_AROUND = 1.06
 #: Size of a badge, in that of the name; a name that is larger by the factor leaves no room for it.
 _BADGE, _MOST = 0.8, 1.1
 #: Kinds of vertices that do not exist yet.
@@ -57,7 +59,7 @@ class VertexItem(Item):
         self._font = font
         self._metrics = QFontMetricsF(font)
         self._height = height_of(font)
-        self._cut_for, self._cut_text = ("", 0.0, 0.0), ""
+        self._cut_for, self._cut_text, self._cut_width = ("", 0.0, 0.0), "", 0.0
         self._size = Size(0, 0)
         self._is_downwards = False
         self._label = ""
@@ -164,30 +166,33 @@ class VertexItem(Item):
         if self.mark is not None:
             self.paint_mark(painter, self.shape())
         self._paint_ring(painter)
+        area = self.area
+        larger = LEAST_TEXT / (self._height * painter.worldTransform().m11())
+        badge, label = self._badge() if larger < _MOST else "", self._label
+        if larger > 1.0:
+            label = self._cut((area.width() + _BESIDE) / larger, area.height() / larger)
+            if self._is_downwards:  # no arrow ends at its sides
+                wider = max(0.0, self._cut_width * larger * _AROUND - area.width()) / 2
+                area = area.adjusted(-wider, 0, wider, 0)
         painter.setPen(self.stroke())
         painter.setBrush(QBrush(self.fill()))
         if self.vertex.kind.is_square:
-            painter.drawRect(self.area)
+            painter.drawRect(area)
             if self.vertex.kind is VertexKind.BOX:
-                painter.drawRect(self.area.adjusted(-3, -3, 3, 3))
-                painter.drawRect(self.area)
+                painter.drawRect(area.adjusted(-3, -3, 3, 3))
+                painter.drawRect(area)
         else:
-            painter.drawEllipse(self.area)
+            painter.drawEllipse(area)
             if self.appearance.is_protected:
                 painter.setBrush(Qt.NoBrush)
-                painter.drawEllipse(self.area.adjusted(3, 3, -3, -3))
+                painter.drawEllipse(area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
         if self.tone is Tone.DROPPED:
             font = QFont(self._font)
             font.setStrikeOut(True)
             painter.setFont(font)
         painter.setPen(self._text_colour())
-        larger = LEAST_TEXT / (self._height * painter.worldTransform().m11())
-        badge, label = self._badge() if larger < _MOST else "", self._label
-        area = self.area.adjusted(0, 0, 0, -10 if badge else 0)
-        if larger > 1.0:
-            label = self._cut((area.width() + _BESIDE) / larger, area.height() / larger)
-        write(painter, area, label, max(1.0, larger))
+        write(painter, area.adjusted(0, 0, 0, -10 if badge else 0), label, max(1.0, larger))
         if badge:
             self._paint_badge(painter, badge, max(1.0, larger / _BADGE))
         if self.mark is Mark.WENT:
@@ -218,8 +223,9 @@ class VertexItem(Item):
             lines, metrics = self._label.split("\n"), self._metrics
             if metrics.height() * len(lines) > height + _OVER:
                 lines = ["".join(self._label.partition("\n")[::2])]
-            text = "\n".join(metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines)
-            self._cut_for, self._cut_text = (self._label, width, height), text
+            lines = [metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines]
+            self._cut_for, self._cut_text = (self._label, width, height), "\n".join(lines)
+            self._cut_width = max(map(metrics.horizontalAdvance, lines))
         return self._cut_text
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given
@@ -18,7 +19,8 @@ from unit.rqt.hands import is_settled, until
 from dyknow_rqt.canvas.appearance import LEAST_TEXT, ROOM, colours_of
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.overview import FAR, paint_titles
-from dyknow_rqt.graph.figure import Edge
+from dyknow_rqt.canvas.vertices import VertexItem
+from dyknow_rqt.graph.figure import Edge, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size, boxes_around, place_labels
 from dyknow_rqt.graph.rates import PortRate
 
@@ -191,3 +193,24 @@ def test_a_rate_is_written_so_that_it_can_be_read_or_not_at_all(qapp, zoom):
     digits = [y for y in rows_of(image) if y < 150 - 20 * zoom]
     is_small = QFontMetricsF(_FONT).ascent() * zoom * ROOM < LEAST_TEXT
     assert len(digits) >= 0.7 * LEAST_TEXT if not is_small else not digits
+
+
+@pytest.mark.parametrize("kind", [VertexKind.TOPIC, VertexKind.NODELET])
+@pytest.mark.parametrize("is_downwards", [True, False])
+@pytest.mark.parametrize("zoom", [0.5, 0.7, 1.0])
+def test_a_vertex_is_drawn_around_its_name_where_no_arrow_ends(qapp, kind, is_downwards, zoom):
+    name, metrics = "stream0", QFontMetricsF(_FONT)
+    item = VertexItem(Vertex("v", kind, name), colours_of(QPalette()), _FONT)
+    size = Size(metrics.horizontalAdvance(name) + 4, metrics.height() + 4)
+    item.set_vertex(replace(item.vertex, key="w"), size, is_downwards)
+    painter = Mock()
+    painter.worldTransform.return_value.m11.return_value = zoom
+    item.paint(painter, None)
+    draw = painter.drawRect if kind.is_square else painter.drawEllipse
+    (area,) = draw.call_args.args
+    written = metrics.horizontalAdvance(name) * max(1.0, LEAST_TEXT / metrics.ascent() / zoom)
+    if is_downwards or written < size.width:
+        assert max(written, size.width) <= area.width() < written + 12
+    else:
+        assert area == item.area
+    assert item.boundingRect().contains(area)
