@@ -8,6 +8,7 @@ It needs neither a screen nor ROS processes.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import sys
@@ -71,20 +72,24 @@ def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Take all pictures into the folder that is given; returns the exit code."""
-    words = list(argv if argv is not None else sys.argv)
-    folder = words[1] if words[1:] else os.path.join("doc", "images")
-    os.makedirs(folder, exist_ok=True)
-    application = dressed(QApplication(words[:1]))
+    """Take all pictures; returns the exit code."""
+    parser = argparse.ArgumentParser("python3 -m dyknow_rqt.screenshots", description=__doc__)
+    parser.add_argument(
+        "folder", nargs="?", default=os.path.join("doc", "images"), help="%(default)s"
+    )
+    parser.add_argument("--dark", action="store_true", help="take all of them in the dark")
+    asked = parser.parse_args(argv)
+    os.makedirs(asked.folder, exist_ok=True)
+    application = dressed(QApplication(sys.argv[:1]))
     light = QPalette(application.palette())
     for pose in (
         *(_graph, _highlight, _load, _hosts, _connect, _plan, _card, _timeline, _gone, _dark),
         *(_many, _found, _narrow),
     ):
-        application.setPalette(dark_palette() if pose is _dark else light)
+        application.setPalette(dark_palette() if asked.dark or pose is _dark else light)
         count, size = _TREES.get(pose, (0, (1600, 760)))
         remote = tree(count) if count else soccer()
-        _take(os.path.join(folder, f"gui{pose.__name__}.png"), remote, pose, size)
+        _take(os.path.join(asked.folder, f"gui{pose.__name__}.png"), remote, pose, size)
     return 0
 
 
