@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Random delays where threads begin, wake up, wake others, send and log, as on a busy machine.
+"""Random delays where threads begin, wake up, wake others and log, as a busy machine makes them.
 
 They find tests that depend on the moment when a thread gets the processor: most delays are below
 0.03 s, rare ones up to 0.6 s.
@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 import logging
 import random
-import socket
 import sys
 import threading
 import time
@@ -31,7 +30,6 @@ def install() -> None:
         (threading.Condition, "wait", 0.0, 0.1),
         (threading.Condition, "notify", 0.03, 0.0),
         (threading.Event, "set", 0.0, 0.2),
-        (socket.socket, "sendall", 0.1, 0.0),
     ):
         setattr(owner, method, _delayed(getattr(owner, method), before, after))
     logging.setLogRecordFactory(_delayed(logging.getLogRecordFactory(), 0.1, 0.0))
