@@ -28,6 +28,8 @@ if [ -f /opt/ros/noetic/setup.bash ]; then
 fi
 # Messages are generated for the languages that the package is written in.
 export ROS_LANG_DISABLE=geneus:genlisp:gennodejs
+# Without catkin_make's limit of the load: the checks that run beside the build would keep it to one core.
+export ROS_PARALLEL_JOBS=${ROS_PARALLEL_JOBS:--j$(nproc)}
 cd "$workspace"
 log="$workspace/build.log"
 if ! catkin_make -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCMAKE_BUILD_TYPE=Release "${@:2}" >"$log" 2>&1; then
