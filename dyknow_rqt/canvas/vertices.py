@@ -171,7 +171,7 @@ class VertexItem(Item):
         badge, label = self._badge() if larger < _MOST else "", self._label
         if larger > 1.0:
             label = self._cut((area.width() + _BESIDE) / larger, area.height() / larger)
-            if self._is_downwards:  # no arrow ends at its sides
+            if self._is_downwards or self.vertex.kind.is_square:  # no ports at its sides
                 wider = max(0.0, self._cut_width * larger * _AROUND - area.width()) / 2
                 area = area.adjusted(-wider, 0, wider, 0)
         painter.setPen(self.stroke())

@@ -198,7 +198,7 @@ def test_a_rate_is_written_so_that_it_can_be_read_or_not_at_all(qapp, zoom):
 @pytest.mark.parametrize("kind", [VertexKind.TOPIC, VertexKind.NODELET])
 @pytest.mark.parametrize("is_downwards", [True, False])
 @pytest.mark.parametrize("zoom", [0.5, 0.7, 1.0])
-def test_a_vertex_is_drawn_around_its_name_where_no_arrow_ends(qapp, kind, is_downwards, zoom):
+def test_a_vertex_is_drawn_around_its_name_where_no_port_is(qapp, kind, is_downwards, zoom):
     name, metrics = "stream0", QFontMetricsF(_FONT)
     item = VertexItem(Vertex("v", kind, name), colours_of(QPalette()), _FONT)
     size = Size(metrics.horizontalAdvance(name) + 4, metrics.height() + 4)
@@ -209,7 +209,7 @@ def test_a_vertex_is_drawn_around_its_name_where_no_arrow_ends(qapp, kind, is_do
     draw = painter.drawRect if kind.is_square else painter.drawEllipse
     (area,) = draw.call_args.args
     written = metrics.horizontalAdvance(name) * max(1.0, LEAST_TEXT / metrics.ascent() / zoom)
-    if is_downwards or written < size.width:
+    if is_downwards or kind.is_square or written < size.width:
         assert max(written, size.width) <= area.width() < written + 12
     else:
         assert area == item.area
