@@ -276,7 +276,8 @@ class FaultTest(SharedMemoryCase):
             call("/talker", "publish", 1, 8 * LARGE)
             for name in names:
                 self.received(range(number + 1), name)
-        self.assertLess(sum(files(self.source.pid).values()), 30 * MB)
+            # Receivers say a little later that they have copied it.
+            self.assertLess(sum(files(self.source.pid).values()), 9 * LARGE * (number + 1))
 
 
 def has_compressed():
