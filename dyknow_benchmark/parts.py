@@ -7,7 +7,7 @@ The same code runs in every kind of chain, as nodelets or as nodes, so that only
 differs. Nothing is reported while messages flow. Times are those of the machine's clock, which all
 processes of a machine share.
 
-A part, here and in C++ (``cpp/chain.h``), receives on ``in`` and publishes on ``out``. Its private
+A part, here and in C++ (``cpp/chain.cpp``), receives on ``in`` and publishes on ``out``. Its private
 parameters are ``~control``, a namespace, ``~payload``, which is ``time`` or a size of images, and
 for a hop ``~hop``, its number, and ``~record``, whether it reports. In the namespace a source
 listens to ``send`` (Float64MultiArray: count, frequency in Hz, start in s since the epoch), and

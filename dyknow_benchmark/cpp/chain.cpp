@@ -3,9 +3,8 @@
 
 // A chain of hops in C++: the peer that the benchmark compares DyKnow with. What its parts do, their parameters,
 // payloads and topics are described in parts.py.
-#ifndef DYKNOW_BENCHMARK_CHAIN_H
-#define DYKNOW_BENCHMARK_CHAIN_H
-
+#include <nodelet/nodelet.h>
+#include <pluginlib/class_list_macros.hpp>
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
 #include <std_msgs/Float64MultiArray.h>
@@ -185,6 +184,31 @@ std::unique_ptr<Part> makePart(const ros::NodeHandle& nh, const ros::NodeHandle&
   return std::make_unique<Kind<sensor_msgs::Image>>(nh, private_nh);
 }
 
+/// A part as a nodelet of the stock C++ nodelet manager.
+template <template <class> class Kind>
+class ChainNodelet : public nodelet::Nodelet
+{
+  void onInit() override
+  {
+    part_ = makePart<Kind>(getNodeHandle(), getPrivateNodeHandle());
+  }
+
+  std::unique_ptr<Part> part_;
+};
+
+using SourceNodelet = ChainNodelet<Source>;
+using HopNodelet = ChainNodelet<Hop>;
+
+/// A part as a node: benchmark_chain source | hop
+void runNode(int argc, char** argv)
+{
+  ros::init(argc, argv, "benchmark_chain", ros::init_options::AnonymousName);
+  const bool is_source = argc == 2 && std::string(argv[1]) == "source";
+  const auto part = (is_source ? makePart<Source> : makePart<Hop>)(ros::NodeHandle(), ros::NodeHandle("~"));
+  ros::spin();
+}
+
 }  // namespace dyknow_benchmark
 
-#endif
+PLUGINLIB_EXPORT_CLASS(dyknow_benchmark::SourceNodelet, nodelet::Nodelet)
+PLUGINLIB_EXPORT_CLASS(dyknow_benchmark::HopNodelet, nodelet::Nodelet)
