@@ -10,6 +10,7 @@ threads are delayed at random.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -49,6 +50,18 @@ def only_own_records(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     caplog.handler.addFilter(is_own)
     yield
     caplog.handler.removeFilter(is_own)
+
+
+@pytest.fixture
+def heeded_signals() -> Iterator[None]:
+    """Signals do what they do by default, also under nohup or in the background of a shell."""
+    both = (signal.SIGINT, signal.SIGHUP)
+    ignored = [each for each in both if signal.getsignal(each) is signal.SIG_IGN]
+    for each in ignored:
+        signal.signal(each, signal.SIG_DFL)
+    yield
+    for each in ignored:
+        signal.signal(each, signal.SIG_IGN)
 
 
 @pytest.fixture

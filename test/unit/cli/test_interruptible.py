@@ -19,6 +19,8 @@ from dyknow.cli import main as command_line
 from dyknow.cli.shell import INTERRUPTED
 from dyknow.ros.process.signals import ENDING, raise_interrupt, sigint
 
+pytestmark = pytest.mark.usefixtures("heeded_signals")
+
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 PACKAGES = ["dyknow", "dyknow_demo", "dyknow_benchmark"]

@@ -397,6 +397,7 @@ def test_wrong_usage(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("heeded_signals")
 def test_an_interrupt_that_roslaunch_drops_ends_the_launch(folder, monkeypatch):
     """It drops all that is raised while it sets up its log."""
     started = []
