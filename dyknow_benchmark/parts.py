@@ -7,11 +7,11 @@ The same code runs in every kind of chain, as nodelets or as nodes, so that only
 differs. Nothing is reported while messages flow. Times are those of the machine's clock, which all
 processes of a machine share.
 
-A part, here and in C++ (``cpp/chain.cpp``), receives on ``in`` and publishes on ``out``. Its private
-parameters are ``~control``, a namespace, ``~payload``, which is ``time`` or a size of images, and
-for a hop ``~hop``, its number, and ``~record``, whether it reports. In the namespace a source
-listens to ``send`` (Float64MultiArray: count, frequency in Hz, start in s since the epoch), and
-hop n offers ``report_n`` (Trigger, with JSON: stamps in s and latencies in us since the last
+A part, here and in C++ (``cpp/chain.cpp``), receives on ``in`` and publishes on ``out``. Its
+private parameters are ``~control``, a namespace, ``~payload``, which is ``time`` or a size of
+images, and for a hop ``~hop``, its number, and ``~record``, whether it reports. In the namespace a
+source listens to ``send`` (Float64MultiArray: count, frequency in Hz, start in s since the epoch),
+and hop n offers ``report_n`` (Trigger, with JSON: stamps in s and latencies in us since the last
 report).
 
 ``benchmark_node PART`` is a part as a rospy node.
