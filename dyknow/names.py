@@ -18,6 +18,8 @@ from dyknow.errors import BadRemapping, InvalidName
 
 #: Forms in which image_transport sends messages on topics below those of the messages themselves.
 FORMS = ("compressed",)
+#: The parameter that each node of rospy and roscpp subscribes to when it logs, to its end.
+LOG_PARAMETER = "/rosout_disable_topics_generation"
 
 _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 

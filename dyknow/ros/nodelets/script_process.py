@@ -34,6 +34,7 @@ from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_flag
 from dyknow.ros.nodelets.process_guards import SPAWNED
+from dyknow.ros.process.node_process import log_without_the_master
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox, join_all
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
@@ -119,6 +120,7 @@ class _ScriptProcess:
         # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
         kept = [word for word in given if word.partition(":=")[0] not in renamed]
         rospy.init_node(**{**options, "argv": kept, "disable_signals": True})
+        log_without_the_master()
         self._sandbox.name = rospy.get_name()
         self._shut_down.clear()
         rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())

@@ -23,7 +23,9 @@ from typing import Any, Callable, Mapping, Sequence
 import rospy
 from rosgraph.roslogging import RosStreamHandler
 from rospy.impl.masterslave import ROSHandler
+from rospy.impl.paramserver import get_param_server_cache
 
+from dyknow import names
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.nodelet.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
@@ -117,6 +119,7 @@ class NodeProcess:
                 _hear_of_displacement(self._on_displaced)
             descriptors.spare()
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
+            log_without_the_master()
             _print_logs_at_least()
             descriptors.enlarge_queue()
             self._shut_down.clear()
@@ -160,6 +163,18 @@ class NodeProcess:
 def is_given(argv: Sequence[str], parameter: str) -> bool:
     """Whether a command line sets a private parameter, rather than a launch file or a user."""
     return any(word.startswith(f"_{parameter}:=") for word in argv)
+
+
+def log_without_the_master() -> None:
+    """Ask for the parameter of rospy's log once; the master tells of its changes.
+
+    Where it is not set, rospy asks for it with each line, and waits for a master that is away.
+    """
+    is_set = False
+    with contextlib.suppress(OSError, rospy.ROSException):
+        is_set = bool(rospy.get_param_cached(names.LOG_PARAMETER, False))
+    if not is_set:
+        get_param_server_cache().set(names.LOG_PARAMETER, False)
 
 
 def _print_logs_at_least() -> None:

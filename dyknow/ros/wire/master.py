@@ -24,8 +24,6 @@ from dyknow.ros.wire.addresses import connect
 TIMEOUT = 3.0
 #: The port of the subscriber in what rospy and roscpp say of a connection.
 _PORT = re.compile(r"\bto \[[^]]*:(\d+) on socket")
-#: What every node of rospy and roscpp subscribes to when it logs, and keeps to its end.
-_LOG_PARAMETER = "/rosout_disable_topics_generation"
 #: Connections that are kept for the next question; each takes a thread of the master.
 _KEPT = 2
 #: Seconds for a node to list its subscriptions, while a switch waits for them.
@@ -281,7 +279,7 @@ class Master:
         for service, nodes in services:
             if node in nodes:
                 dead.ask("unregisterService", service, self.ask("lookupService", service))
-        dead.ask("unsubscribeParam", uri, _LOG_PARAMETER)
+        dead.ask("unsubscribeParam", uri, names.LOG_PARAMETER)
 
     def _subscribed(self, node: str, topic: str) -> str:
         """Return the type a node subscribes to a topic with; empty without a quick answer."""

@@ -13,16 +13,19 @@ import socket
 import struct
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import rospy.topics
 from clocks import eventually
-from rospy.impl import tcpros_base
+from rospy.impl import paramserver, tcpros_base
 from std_msgs.msg import Header
 
 from dyknow.errors import LimitExceeded
+from dyknow.names import LOG_PARAMETER
 from dyknow.ros.process import descriptors
+from dyknow.ros.process.node_process import log_without_the_master
 
 #: In the kernel's struct tcp_info: of a socket that listens this is the length of its queue.
 _QUEUE_AT = 28
@@ -134,6 +137,28 @@ def test_the_server_outlives_a_lack_of_descriptors(monkeypatch):
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(socket.timeout):  # without a spare one the peer waits
         descriptors.PatientSocket(exhausted).accept()
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+def test_the_log_asks_for_its_parameter_once(monkeypatch, is_away):
+    asked = []
+
+    def subscribe(*question):
+        asked.append(question[-1])
+        if is_away:
+            raise ConnectionRefusedError
+        return 1, "", {}
+
+    master = rospy.msproxy.MasterProxy("http://localhost:9")
+    master.target = SimpleNamespace(subscribeParam=subscribe)
+    cache = paramserver.ParamServerCache()
+    monkeypatch.setattr(rospy.client, "_param_server", master)
+    monkeypatch.setattr(paramserver, "_param_server_cache", cache)
+    log_without_the_master()
+    for value in (False, True):
+        cache.update(LOG_PARAMETER, value)  # as the master tells it
+        assert rospy.get_param_cached(LOG_PARAMETER, False) is value
+    assert asked == [LOG_PARAMETER]
 
 
 def test_a_server_that_begins_after_its_end_has_no_traceback():
