@@ -43,7 +43,11 @@ def _sorted(key: str):
 
 wirings = st.builds(
     Wiring,
-    st.lists(transformations, max_size=3, unique_by=lambda each: each.label).map(_sorted("label")),
+    st.lists(
+        transformations,
+        max_size=3,
+        unique_by=(lambda each: each.label, lambda each: each.node or each.label),
+    ).map(_sorted("label")),
     st.lists(nodelets, max_size=4, unique_by=lambda each: each.name).map(_sorted("name")),
 )
 
