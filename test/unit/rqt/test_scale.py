@@ -12,15 +12,7 @@ import pytest
 from python_qt_binding.QtCore import QObject, QPoint, Qt
 from python_qt_binding.QtGui import QImage, QPalette
 from python_qt_binding.QtWidgets import QToolButton
-from unit.rqt.hands import (
-    button_of,
-    centre_of,
-    click,
-    is_settled,
-    until,
-    vertex_keys,
-    window_of,
-)
+from unit.rqt.hands import button_of, centre_of, click, is_settled, until, vertex_keys, window_of
 
 from dyknow.formulas import Truth
 from dyknow_rqt.canvas import arrows, vertices
