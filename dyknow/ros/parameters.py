@@ -1,14 +1,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Parameters of nodelets, checked when a nodelet is loaded."""
+"""Parameters of nodelets and nodes, checked when they are read."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Callable, TypeVar
+
+import rospy
 
 from dyknow.errors import BadParameter
 from dyknow.ros.wire.message_classes import message_class
+
+Parameters = TypeVar("Parameters", bound="PrivateParameters")
 
 
 def get_datatype(nh: Any, parameter: str = "~datatype", default: str = "std_msgs/Header") -> Any:
@@ -32,6 +36,74 @@ def get_positive(nh: Any, name: str, default: float, unit: str) -> float:
         BadParameter: it is not such a number.
     """
     value = nh.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+    if not (is_number(value) and value > 0):
         raise BadParameter(nh.resolve_name(name), value, f"a number above 0, in {unit}")
     return float(value)
+
+
+class PrivateParameters:
+    """Private parameters of this node, asked for once: the master may be far away.
+
+    Each method raises BadParameter for a value that is not the expected one.
+    """
+
+    def __init__(self, given: Any) -> None:
+        """Take the parameters; a value in place of all of them has none."""
+        self.given: dict[str, Any] = given if isinstance(given, dict) else {}
+
+    @classmethod
+    def ask(cls: type[Parameters]) -> Parameters:
+        """Ask the master for them."""
+        return cls(rospy.get_param("~", {}))
+
+    def read(self, name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
+        """Return a parameter, also one in a namespace, or its default."""
+        value: Any = self.given
+        for key in name.split("/"):
+            value = value.get(key, default) if isinstance(value, dict) else default
+        if not fits(value):
+            raise BadParameter(f"~{name}", value, expected)
+        return value
+
+    def string(self, name: str, default: str = "") -> str:
+        return str(self.read(name, default, "a text", lambda value: isinstance(value, str)))
+
+    def strings(self, name: str) -> tuple[str, ...]:
+        """Read a list, or a text with white space between the entries, as launch files have it."""
+
+        def fits(value: Any) -> bool:
+            return isinstance(value, str) or (
+                isinstance(value, list) and all(isinstance(each, str) for each in value)
+            )
+
+        value = self.read(name, [], "a list of texts", fits)
+        return tuple(value.split() if isinstance(value, str) else value)
+
+    def one_of(self, name: str, *values: str) -> str:
+        """Read one of some texts, of which the first is the default."""
+        expected = " or ".join(f"'{value}'" for value in values)
+        return str(self.read(name, values[0], expected, lambda value: value in values))
+
+    def flag(self, name: str, default: bool = False) -> bool:
+        return bool(
+            self.read(name, default, "true or false", lambda value: isinstance(value, bool))
+        )
+
+    def integer(self, name: str, default: int) -> int:
+        """Read an integer that is not negative."""
+
+        def fits(value: Any) -> bool:
+            return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+        return int(self.read(name, default, "an integer from 0", fits))
+
+    def number(
+        self, name: str, default: float, expected: str, fits: Callable[[float], bool]
+    ) -> float:
+        return float(
+            self.read(name, default, expected, lambda value: is_number(value) and fits(value))
+        )
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

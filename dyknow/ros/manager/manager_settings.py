@@ -6,22 +6,21 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Callable, Iterator, Sequence
+from typing import Any, Iterator, Sequence
 
 import rosgraph
 import rospkg
 import rospy
 
 from dyknow import names
-from dyknow.errors import BadParameter
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.watchdog import NO_WATCHDOG, WatchdogLimits
 from dyknow.ros.manager import tenure
+from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process.os_process import only_for_owner
 from dyknow.similar import did_you_mean
 
@@ -117,45 +116,49 @@ class ManagerSettings:
     def read(cls) -> ManagerSettings:
         """Read the node's private parameters; BadParameter if one has an unusable value."""
         node = rospy.get_name()
-        _check_groups()
-        _warn_of_unknown()
+        given = _Parameters.ask()
+        given.check_groups()
+        given.warn_of_unknown()
         return cls(
             nodelet_managers=tuple(
                 names.resolve(name, names.parent(node), node, "name in ~nodelet_managers")
-                for name in _strings("nodelet_managers")
+                for name in given.strings("nodelet_managers")
             ),
-            num_nodelet_managers=_integer("num_nodelet_managers", 1),
-            state_dir=_path("state_dir"),
-            ontologies=_paths("ontologies"),
-            catalogues=_paths("catalogues"),
-            language=_string("language", cls.language),
-            transformations=_paths("transformations"),
-            wiring=_path("wiring"),
-            keep=_bool("keep"),
-            use_exports=_bool("use_exports", cls.use_exports),
-            spawn_timeout=_seconds("spawn_timeout", cls.spawn_timeout, 0.001, _MOST_PATIENCE),
-            orphan_timeout=_seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
-            recover=_seconds("recover", cls.recover, least=0.0),
-            max_clock_offset=_seconds("max_clock_offset", cls.max_clock_offset, least=0.0),
-            shared_memory=_bool("shared_memory", cls.shared_memory),
+            num_nodelet_managers=given.integer("num_nodelet_managers", 1),
+            state_dir=given.path("state_dir"),
+            ontologies=given.paths("ontologies"),
+            catalogues=given.paths("catalogues"),
+            language=given.string("language", cls.language),
+            transformations=given.paths("transformations"),
+            wiring=given.path("wiring"),
+            keep=given.flag("keep"),
+            use_exports=given.flag("use_exports", cls.use_exports),
+            spawn_timeout=given.seconds("spawn_timeout", cls.spawn_timeout, 0.001, _MOST_PATIENCE),
+            orphan_timeout=given.seconds("orphan_timeout", cls.orphan_timeout, least=0.0),
+            recover=given.seconds("recover", cls.recover, least=0.0),
+            max_clock_offset=given.seconds("max_clock_offset", cls.max_clock_offset, least=0.0),
+            shared_memory=given.flag("shared_memory", cls.shared_memory),
             watchdog=WatchdogLimits(
-                _seconds("watchdog/hung", 0.0, least=0.0),
-                _seconds("watchdog/stuck", 0.0, least=0.0),
-                float(_number("watchdog/memory", 0.0, 0.0, "MB, at least 0", (int, float))),
+                given.seconds("watchdog/hung", 0.0, least=0.0),
+                given.seconds("watchdog/stuck", 0.0, least=0.0),
+                given.number("watchdog/memory", 0.0, "MB, at least 0", lambda value: value >= 0),
             ),
-            spread=_one_of("spread", "", "auto") == "auto",
-            spread_load=float(
-                _number("spread_load", cls.spread_load, 0.01, "cores, at least 0.01", (int, float))
+            spread=given.one_of("spread", "", "auto") == "auto",
+            spread_load=given.number(
+                "spread_load",
+                cls.spread_load,
+                "cores, at least 0.01",
+                lambda value: value >= 0.01,
             ),
             guards=Guards(
-                denied_topics=_topic_patterns("denied_topics"),
-                allowed_topics=tuple(filter(None, [_topic_patterns("allowed_topics")])),
-                allowed_programs=tuple(filter(None, [_strings("allowed_programs")])),
-                remote_programs=_bool("remote_programs", True),
-                read_only=_bool("read_only"),
-                **_limits(Guards, *_GUARDS),
+                denied_topics=given.topic_patterns("denied_topics"),
+                allowed_topics=tuple(filter(None, [given.topic_patterns("allowed_topics")])),
+                allowed_programs=tuple(filter(None, [given.strings("allowed_programs")])),
+                remote_programs=given.flag("remote_programs", True),
+                read_only=given.flag("read_only"),
+                **given.limits(Guards, *_GUARDS),
             ),
-            limits=SpecificationLimits(**_limits(SpecificationLimits, *_SIZES)),
+            limits=SpecificationLimits(**given.limits(SpecificationLimits, *_SIZES)),
         )
 
     def state_path(self, ending: str) -> str:
@@ -173,7 +176,10 @@ class ManagerSettings:
 
 def mirror_path() -> str:
     """Return the file with the mirror of the master, which is used before the parameters are."""
-    return state_path(_string("state_dir"), rosgraph.get_master_uri(), rospy.get_name(), "master")
+    folder = PrivateParameters({"state_dir": rospy.get_param("~state_dir", "")})
+    return state_path(
+        folder.string("state_dir"), rosgraph.get_master_uri(), rospy.get_name(), "master"
+    )
 
 
 def state_path(folder: str, master: str, node: str, ending: str) -> str:
@@ -230,101 +236,52 @@ def _unknown(given: Any) -> Iterator[tuple[str, Sequence[str]]]:
                 yield f"{group}/{name}", known
 
 
-def _warn_of_unknown() -> None:
-    """Warn of unknown parameters, which would be ignored silently."""
-    for name, known in _unknown(rospy.get_param("~", {})):
-        hint = did_you_mean(name, known, at_most=1, prefix="~")
-        rospy.logwarn("unknown parameter ~%s%s", name, hint or "; known: ~" + " ~".join(known))
+class _Parameters(PrivateParameters):
+    def warn_of_unknown(self) -> None:
+        """Warn of unknown parameters, which would be ignored silently."""
+        for name, known in _unknown(self.given):
+            hint = did_you_mean(name, known, at_most=1, prefix="~")
+            rospy.logwarn("unknown parameter ~%s%s", name, hint or "; known: ~" + " ~".join(known))
 
+    def check_groups(self) -> None:
+        for group, members in GROUPS.items():
+            expected = f"a namespace with {', '.join(members[:-1])} or {members[-1]}"
+            self.read(group, {}, expected, lambda value: isinstance(value, dict))
 
-def _check_groups() -> None:
-    for group, members in GROUPS.items():
-        expected = f"a namespace with {', '.join(members[:-1])} or {members[-1]}"
-        _read(group, {}, expected, lambda value: isinstance(value, dict))
+    def path(self, name: str) -> str:
+        """Read a path, and make the parameter absolute: it may be read again in another folder."""
+        given = self.string(name)
+        path = given and _absolute(given)
+        if path != given:
+            rospy.set_param(f"~{name}", path)
+        return path
 
+    def paths(self, name: str) -> tuple[str, ...]:
+        """Read paths, and make the parameter absolute as well."""
+        given = self.strings(name)
+        paths = tuple(map(_absolute, given))
+        if paths != given:
+            rospy.set_param(f"~{name}", list(paths))
+        return paths
 
-def _read(name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
-    value = rospy.get_param(f"~{name}", default)
-    if not fits(value):
-        raise BadParameter(f"~{name}", value, expected)
-    return value
+    def topic_patterns(self, name: str) -> tuple[str, ...]:
+        """Read patterns of topics; relative ones resolve in the manager's namespace."""
+        namespace = names.parent(rospy.get_name())
+        return tuple(
+            pattern if pattern[:1] in "/*" else names.join(namespace, pattern)
+            for pattern in self.strings(name)
+        )
 
+    def seconds(
+        self, name: str, default: float, least: float, most: float = _MOST_SECONDS
+    ) -> float:
+        expected = f"seconds, at least {least:g} and at most {most:g}"
+        return self.number(name, default, expected, lambda value: least <= value <= most)
 
-def _string(name: str, default: str = "") -> str:
-    return str(_read(name, default, "a text", lambda value: isinstance(value, str)))
-
-
-def _path(name: str) -> str:
-    """Read a path, and make the parameter absolute: it may be read again in another folder."""
-    given = _string(name)
-    path = given and _absolute(given)
-    if path != given:
-        rospy.set_param(f"~{name}", path)
-    return path
-
-
-def _paths(name: str) -> tuple[str, ...]:
-    """Read paths, and make the parameter absolute as well."""
-    given = _strings(name)
-    paths = tuple(map(_absolute, given))
-    if paths != given:
-        rospy.set_param(f"~{name}", list(paths))
-    return paths
+    def limits(self, kind: Any, *limits: str) -> dict[str, int]:
+        """Read limits by name, as ``~limits/NAME`` sets them."""
+        return {limit: self.integer(f"limits/{limit}", getattr(kind, limit)) for limit in limits}
 
 
 def _absolute(path: str) -> str:
     return os.path.abspath(os.path.expanduser(path))
-
-
-def _one_of(name: str, *values: str) -> str:
-    expected = " or ".join(f"'{value}'" for value in values)
-    return str(_read(name, values[0], expected, lambda value: value in values))
-
-
-def _strings(name: str) -> tuple[str, ...]:
-    """Read a list, or a text with white space between the entries, as launch files have it."""
-
-    def fits(value: Any) -> bool:
-        return isinstance(value, str) or (
-            isinstance(value, list) and all(isinstance(each, str) for each in value)
-        )
-
-    value = _read(name, [], "a list of texts", fits)
-    return tuple(value.split() if isinstance(value, str) else value)
-
-
-def _topic_patterns(name: str) -> tuple[str, ...]:
-    """Read patterns of topics; relative ones resolve in the manager's namespace."""
-    namespace = names.parent(rospy.get_name())
-    return tuple(
-        pattern if pattern[:1] in "/*" else names.join(namespace, pattern)
-        for pattern in _strings(name)
-    )
-
-
-def _bool(name: str, default: bool = False) -> bool:
-    return bool(_read(name, default, "true or false", lambda value: isinstance(value, bool)))
-
-
-def _number(
-    name: str, default: Any, least: float, expected: str, kinds: Any, most: float = math.inf
-) -> Any:
-    def fits(value: Any) -> bool:
-        is_number = isinstance(value, kinds) and not isinstance(value, bool)
-        return is_number and least <= value <= most
-
-    return _read(name, default, expected, fits)
-
-
-def _integer(name: str, default: int) -> int:
-    return int(_number(name, default, 0, "an integer from 0", int))
-
-
-def _seconds(name: str, default: float, least: float, most: float = _MOST_SECONDS) -> float:
-    expected = f"seconds, at least {least:g} and at most {most:g}"
-    return float(_number(name, default, least, expected, (int, float), most))
-
-
-def _limits(kind: Any, *limits: str) -> dict[str, int]:
-    """Read limits by name, as ``~limits/NAME`` sets them."""
-    return {limit: _integer(f"limits/{limit}", getattr(kind, limit)) for limit in limits}

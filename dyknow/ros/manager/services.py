@@ -24,6 +24,7 @@ from dyknow.model.hosts import AT
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.nodelets.process_guards import caller_of
 from dyknow.ros.nodelets.proxy_services import for_log
+from dyknow.ros.transport.registrar import services_together
 from dyknow.ros.wire.messages import (
     acquire_from,
     acquisition_message,
@@ -73,6 +74,15 @@ class ManagerServices:
         self._after_change = after_change
         self._publish = publish
         self._services: list[Any] = []
+        with services_together():
+            self._offer_all()
+
+    def close(self) -> None:
+        """Withdraw the services."""
+        while self._services:
+            self._services.pop().shutdown("the manager ends")
+
+    def _offer_all(self) -> None:
         self._offer(
             "add_transformation",
             srv.AddTransformation,
@@ -134,11 +144,6 @@ class ManagerServices:
         self._offer("list_hosts", srv.ListHosts, self._list_hosts)
         # Last, since clients take a manager that answers it for one that is up.
         self._offer("get_model", srv.GetModel, self._get_model)
-
-    def close(self) -> None:
-        """Withdraw the services."""
-        while self._services:
-            self._services.pop().shutdown("the manager ends")
 
     def _offer(
         self,

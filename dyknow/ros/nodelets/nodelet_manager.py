@@ -25,7 +25,7 @@ from dyknow_msgs.msg import NodeletPorts
 from nodelet import srv
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError
+from dyknow.errors import DyKnowError
 from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
@@ -45,10 +45,11 @@ from dyknow.ros.nodelets.owner import end_when_orphaned
 from dyknow.ros.nodelets.poll_service import PollService, end_when_displaced
 from dyknow.ros.nodelets.process_guards import SPAWNED, ProcessGuards, caller_of
 from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
+from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process import descriptors, programs
 from dyknow.ros.process.node_process import NodeProcess
 from dyknow.ros.transport.middleware import rospy_middleware
-from dyknow.ros.transport.registrar import guard_topics, hide_topics
+from dyknow.ros.transport.registrar import guard_topics, hide_topics, services_together
 from dyknow.ros.wire.messages import port_message
 
 #: Seconds, at the end, for clients that end at the same time.
@@ -86,30 +87,23 @@ class Settings:
         Raises:
             BadParameter: a parameter has no sensible value.
         """
-        workers = rospy.get_param("~num_worker_threads", cls.num_worker_threads)
-        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
-            raise BadParameter("~num_worker_threads", workers, "an integer from 0")
-        seconds = {}
-        for name in ("switch_interval", "stuck_after"):
-            value = rospy.get_param("~" + name, getattr(cls, name))
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-                raise BadParameter(f"~{name}", value, "seconds above 0")
-            seconds[name] = float(value)
-        flags = (read_flag("shared_memory"), read_flag("rewirable"))
-        return cls(workers, seconds["switch_interval"], seconds["stuck_after"], *flags)
+        given = PrivateParameters.ask()
+
+        def seconds(name: str, default: float) -> float:
+            return given.number(name, default, "seconds above 0", lambda value: value > 0)
+
+        return cls(
+            given.integer("num_worker_threads", cls.num_worker_threads),
+            seconds("switch_interval", cls.switch_interval),
+            seconds("stuck_after", cls.stuck_after),
+            given.flag("shared_memory", cls.shared_memory),
+            given.flag("rewirable", cls.rewirable),
+        )
 
     @property
     def workers(self) -> int:
         """Number of threads that it comes to."""
         return self.num_worker_threads or max(4, os.cpu_count() or 1)
-
-
-def read_flag(name: str) -> bool:
-    """Read a private parameter; ``BadParameter`` if it is neither true nor false."""
-    value = rospy.get_param("~" + name, getattr(Settings, name))
-    if not isinstance(value, bool):
-        raise BadParameter(f"~{name}", value, "true or false")
-    return value
 
 
 class NodeletManager(Closable):
@@ -167,11 +161,12 @@ class NodeletManager(Closable):
         rospy.loginfo("Initializing nodelet with %d worker threads.", self._workers)
         self._offer_poll()
         self._hand_over_service = HandOverService(self.loader, self._guards, self._unload_only)
-        self._services += [
-            rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
-            rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
-            rospy.Service("~list", srv.NodeletList, self._list),
-        ]
+        with services_together():
+            self._services += [
+                rospy.Service("~load_nodelet", srv.NodeletLoad, self._load),
+                rospy.Service("~unload_nodelet", srv.NodeletUnload, self._unload),
+                rospy.Service("~list", srv.NodeletList, self._list),
+            ]
         self._announcer.start()  # last: managers poll it at once
 
     def be(self, kind: NodeletKind, remappings: Mapping[str, str]) -> None:

@@ -17,6 +17,7 @@ from dyknow.model.statistics import NodeletStatistics
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.texts import sendable
 from dyknow.ros.nodelets.process_guards import caller_of
+from dyknow.ros.transport.registrar import services_together
 from dyknow.ros.wire.messages import config_pairs, port_message, statistics_message
 
 #: Characters of one text in the log. A list of problems may have many lines.
@@ -58,9 +59,10 @@ class ProxyServices(Closable):
         self._services: list[Any] = []
         self._closed = False
         try:
-            self._offer("get_config", srv.GetConfig, self._get_config)
-            self._offer("set_config", srv.SetConfig, self._set_config)
-            self._offer("get_statistics", srv.GetStatistics, self._get_statistics)
+            with services_together():
+                self._offer("get_config", srv.GetConfig, self._get_config)
+                self._offer("set_config", srv.SetConfig, self._set_config)
+                self._offer("get_statistics", srv.GetStatistics, self._get_statistics)
         except BaseException:
             self.close()
             raise

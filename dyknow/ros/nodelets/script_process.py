@@ -32,8 +32,9 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
 from dyknow.periodic import in_background
-from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings, read_flag
+from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
 from dyknow.ros.nodelets.process_guards import SPAWNED
+from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process.node_process import log_without_the_master
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox, join_all
@@ -129,8 +130,9 @@ class _ScriptProcess:
 
     def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
+        shared_memory = PrivateParameters.ask().flag("shared_memory", _SETTINGS.shared_memory)
         self._manager = NodeletManager(
-            replace(_SETTINGS, shared_memory=read_flag("shared_memory")),
+            replace(_SETTINGS, shared_memory=shared_memory),
             lambda type_name, context: nodelet_class,
             bound=SPAWNED in os.environ,
         )

@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from typing import Any, Callable, Collection, Tuple
+import threading
+from typing import Any, Callable, Collection, Iterator, Sequence, Tuple
 
 import rospy
 import rospy.core
@@ -48,6 +49,9 @@ _QUESTIONS = {
 _OWN = ("bond/", "dyknow_msgs/", "rosgraph_msgs/")
 
 Key = Tuple[str, str, str]  # kind of registration, name, and the address of a service
+
+#: In ``offered`` the services that a thread offers together: the registrar, name and address.
+_together = threading.local()
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")
@@ -107,13 +111,43 @@ class Registrar:
 
     def reg_added(self, name: str, datatype_or_uri: str, kind: str) -> None:
         """Register a topic or a service, after those that wait for the master already."""
+        offered = getattr(_together, "offered", None)
+        if offered is not None and kind == Registration.SRV:
+            offered.append((self, name, datatype_or_uri))
+            return
         key = _key(kind, name, datatype_or_uri)
         with self._lock:
             is_down = bool(self._owed)
         if is_down or not self._register(key, datatype_or_uri):
             self._owe(key, datatype_or_uri)
 
+    def register_services(self, offered: Sequence[Tuple[str, str]]) -> None:
+        """Register services, pairs of a name and an address, with one question to the master."""
+        questions = [
+            (_QUESTIONS[Registration.SRV][0], self._master.caller, *each, self._uri)
+            for each in offered
+        ]
+        with self._lock:
+            is_down = bool(self._owed)
+        answers: Sequence[Any] = [None] * len(offered)
+        try:
+            if not is_down:
+                answers = self._master.ask_all(questions)
+        except LookupError:  # it takes one question at a time
+            pass
+        except PeerTimeout:
+            for name, uri in offered:
+                self._owe(_key(Registration.SRV, name, uri), uri)
+            return
+        for (name, uri), answer in zip(offered, answers):
+            if answer is None:  # alone it gets the reason
+                self.reg_added(name, uri, Registration.SRV)
+
     def reg_removed(self, name: str, datatype_or_uri: str, kind: str) -> None:
+        offered = getattr(_together, "offered", [])
+        if (self, name, datatype_or_uri) in offered:
+            offered.remove((self, name, datatype_or_uri))
+            return
         key = _key(kind, name, datatype_or_uri)
         with self._lock:
             is_down = bool(self._owed)  # its registration may be under way, too
@@ -205,6 +239,23 @@ class Registrar:
             with self._lock:
                 if self._owed[key] == what:  # else that has changed meanwhile
                     del self._owed[key]
+
+
+@contextlib.contextmanager
+def services_together() -> Iterator[None]:
+    """Register the services that this thread offers meanwhile at the end, with one question.
+
+    The master may be far away. In a process without a `Registrar` each is registered at once.
+    """
+    offered: list[tuple[Registrar, str, str]] = []
+    _together.offered = offered
+    try:
+        yield
+    finally:
+        del _together.offered
+        if offered:
+            registrar = offered[0][0]  # a process has one
+            registrar.register_services([(name, uri) for _, name, uri in offered])
 
 
 def _key(kind: str, name: str, datatype_or_uri: str) -> Key:

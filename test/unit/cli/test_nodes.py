@@ -154,7 +154,6 @@ def test_the_nodelet_manager_describes_all_its_parameters():
     + [("shared_memory", each, "true or false") for each in (1, "no")],
 )
 def test_the_nodelet_manager_refuses_a_parameter_without_sense(monkeypatch, name, value, expected):
-    given = {f"~{name}": value}
-    monkeypatch.setattr(rospy, "get_param", given.get)
+    monkeypatch.setattr(rospy, "get_param", {"~": {name: value}}.get)
     with pytest.raises(BadParameter, match=f"~{name}' is .*: expected {expected}"):
         Settings.read()

@@ -24,14 +24,13 @@ def given(monkeypatch):
     found: Dict[str, Any] = {}
 
     def get_param(name: str, default: Any) -> Any:
-        value: Any = found
-        for key in filter(None, name.lstrip("~").split("/")):
-            if not isinstance(value, dict) or key not in value:
-                return default
-            value = value[key]
-        return value
+        return found.get(name[1:], default) if name != "~" else found
+
+    def set_param(name: str, value: Any) -> None:
+        found[name[1:]] = value
 
     monkeypatch.setattr(rospy, "get_param", get_param)
+    monkeypatch.setattr(rospy, "set_param", set_param)
     monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
     return found
 
@@ -57,6 +56,25 @@ def test_unknown_members_of_namespaces_are_named(given, warned):
     assert "unknown parameter ~limits/nodelet; did you mean ~limits/nodelets?" in warned
     (known,) = [text for text in warned if "/x" in text]
     assert known.endswith("; known: ~" + " ~".join(f"limits/{each}" for each in GROUPS["limits"]))
+
+
+def test_the_master_is_asked_once_however_many_parameters_there_are(given, warned, monkeypatch):
+    given["watchdog"] = {"hung": 10.0}
+    given["limits"] = {"nodelets": 7}
+    asked: List[str] = []
+    read = rospy.get_param
+    monkeypatch.setattr(
+        rospy, "get_param", lambda name, default: asked.append(name) or read(name, default)
+    )
+    settings = ManagerSettings.read()
+    assert (settings.watchdog.hung, settings.guards.nodelets) == (10.0, 7)
+    assert asked == ["~"]
+
+
+def test_a_value_in_place_of_all_parameters_is_none_of_them(monkeypatch):
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: 5)
+    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
+    assert ManagerSettings.read() == ManagerSettings()
 
 
 def test_the_members_are_those_that_the_help_describes():
@@ -113,41 +131,31 @@ def test_where_nothing_can_be_noted_the_files_are_those_of_the_key(given, monkey
     assert settings.state_path("lock").endswith("/host-11311-dyknow-manager.lock")
 
 
-def test_a_manager_makes_its_state_dir_absolute(tmp_path, monkeypatch):
+def test_a_manager_makes_its_state_dir_absolute(given, tmp_path, monkeypatch):
     """Which is then the same for those that read the parameter in another folder."""
-    stored = {"~state_dir": "state"}
+    given["state_dir"] = "state"
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: stored.get(name, default))
-    monkeypatch.setattr(rospy, "set_param", stored.__setitem__)
     settings = ManagerSettings.read()
-    assert settings.state_dir == stored["~state_dir"] == str(tmp_path / "state")
+    assert settings.state_dir == given["state_dir"] == str(tmp_path / "state")
     monkeypatch.chdir("/")
     assert ManagerSettings.read() == settings
     assert Path(manager_settings.mirror_path()).parent == tmp_path / "state"
-    stored["~state_dir"] = ""
-    assert ManagerSettings.read().state_dir == stored["~state_dir"] == ""
-    stored["~state_dir"] = "~/state"
-    assert (
-        ManagerSettings.read().state_dir == stored["~state_dir"] == os.path.expanduser("~/state")
-    )
+    given["state_dir"] = ""
+    assert ManagerSettings.read().state_dir == given["state_dir"] == ""
+    given["state_dir"] = "~/state"
+    assert ManagerSettings.read().state_dir == given["state_dir"] == os.path.expanduser("~/state")
 
 
-def test_a_manager_makes_the_paths_of_its_files_absolute(tmp_path, monkeypatch):
-    stored = {
-        "~ontologies": ["lab.ttl"],
-        "~catalogues": "/c.xml",
-        "~transformations": "a.xml ~/b.xml",
-        "~wiring": "robot.xml",
-    }
+def test_a_manager_makes_the_paths_of_its_files_absolute(given, tmp_path, monkeypatch):
+    given["ontologies"] = ["lab.ttl"]
+    given["catalogues"] = "/c.xml"
+    given["transformations"] = "a.xml ~/b.xml"
+    given["wiring"] = "robot.xml"
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: stored.get(name, default))
-    monkeypatch.setattr(rospy, "set_param", stored.__setitem__)
     settings = ManagerSettings.read()
     assert settings.ontologies == (str(tmp_path / "lab.ttl"),)
     assert settings.transformations == (str(tmp_path / "a.xml"), os.path.expanduser("~/b.xml"))
     assert settings.wiring == str(tmp_path / "robot.xml")
-    assert stored["~catalogues"] == "/c.xml", "as it was given"
+    assert given["catalogues"] == "/c.xml", "as it was given"
     monkeypatch.chdir("/")
     assert ManagerSettings.read() == settings

@@ -8,6 +8,7 @@ from __future__ import annotations
 import socketserver
 import threading
 import xmlrpc.server
+from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +16,7 @@ from clocks import PATIENCE, eventually
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.transport import registrar as registrar_module
-from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.transport.registrar import Registrar, services_together
 from dyknow.ros.wire.master import Master
 
 STRING = "std_msgs/String"
@@ -33,6 +34,7 @@ class OneMaster:
     def __init__(self):
         self.registered, self.calls, self.looked_up = {}, [], []
         self.newcomer = ""
+        self.requests = 0
         self.server = None
         self.port = 0
 
@@ -43,6 +45,7 @@ class OneMaster:
             self.server.register_function(self.register, f"register{kind}")
             self.server.register_function(self.unregister, f"unregister{kind}")
         self.server.register_function(self.look_up, "lookupNode")
+        self.server.register_function(self.call_all, "system.multicall")
         threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
 
     def stop(self):
@@ -55,6 +58,10 @@ class OneMaster:
         self.calls.append(name)
         self.registered[name] = what
         return 1, "", ["http://other:1"]
+
+    def call_all(self, questions):
+        self.requests += 1
+        return [[self.register(*each["params"])] for each in questions]
 
     def look_up(self, caller, name):
         self.looked_up.append(name)
@@ -156,6 +163,59 @@ def test_a_silent_master_is_waited_for_once(master, registrar, monkeypatch):
     assert len(waits) == 1
     registrar._settle()
     assert master.registered == {}
+
+
+def test_services_that_are_offered_together_take_one_question(master, registrar):
+    with services_together():
+        registrar.reg_added("/s1", "rosrpc://here:1", "srv")
+        registrar.reg_added("/gone", "rosrpc://here:1", "srv")
+        registrar.reg_added("/a", STRING, "pub")
+        assert master.registered == {"/a": STRING}, "topics at once"
+        registrar.reg_removed("/gone", "rosrpc://here:1", "srv")
+        registrar.reg_added("/s2", "rosrpc://here:1", "srv")
+    assert master.requests == 1
+    assert master.calls == ["/a", "/s1", "/s2"]
+    registrar.reg_added("/s3", "rosrpc://here:1", "srv")
+    registrar.reg_removed("/s1", "rosrpc://here:1", "srv")
+    assert master.registered.keys() == {"/a", "/s2", "/s3"}
+
+
+def test_a_master_that_takes_one_question_at_a_time_is_asked_so(master, registrar):
+    del master.server.funcs["system.multicall"]
+    with services_together():
+        for name in ("/s1", "/s2"):
+            registrar.reg_added(name, "rosrpc://here:1", "srv")
+    assert master.calls == ["/s1", "/s2"]
+
+
+@pytest.mark.parametrize("error", [None, KeyError])
+def test_services_are_registered_late_and_after_errors_too(master, registrar, error):
+    master.stop()
+    with suppress(KeyError), services_together():
+        registrar.reg_added("/s1", "rosrpc://here:1", "srv")
+        registrar.reg_added("/s2", "rosrpc://here:1", "srv")
+        if error is not None:
+            raise error
+    with services_together():
+        registrar.reg_added("/s3", "rosrpc://here:1", "srv")
+    master.start()
+    eventually(lambda: not registrar._owed)
+    assert (master.calls, master.requests) == (["/s1", "/s2", "/s3"], 0)
+
+
+def test_a_service_that_the_master_refuses_keeps_none_from_being_registered(
+    master, registrar, caplog
+):
+    def register(*arguments):
+        return (-1, "not here", 0) if arguments[1] == "/s1" else granted(*arguments)
+
+    granted, master.register = master.register, register
+    master.server.register_function(register, "registerService")
+    with services_together():
+        for name in ("/s1", "/s2"):
+            registrar.reg_added(name, "rosrpc://here:1", "srv")
+    assert master.registered.keys() == {"/s2"}
+    assert "refuses to register /s1: not here" in caplog.text
 
 
 def test_a_topic_that_is_withdrawn_while_it_is_registered_late(master, registrar):
