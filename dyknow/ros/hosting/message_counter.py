@@ -16,6 +16,7 @@ import rospy
 
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, Listening
+from dyknow.nodelet.parked import latching
 from dyknow.periodic import Workers
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.ages import age_of_serialised
@@ -82,7 +83,7 @@ class _TopicCounter(Listening):
     def _add_one(self, message: Any) -> None:
         with self._state_lock:  # rospy calls from a thread for each publisher
             self._messages += 1
-            self._is_latched = message._connection_header.get("latching") == "1"
+            self._is_latched = bool(latching(message))
             is_age_wanted, self._is_age_wanted = self._is_age_wanted, False
         if is_age_wanted:
             self._age = age_of_serialised(message)
