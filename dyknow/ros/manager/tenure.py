@@ -119,14 +119,14 @@ class Tenure:
             if self.entry is None:
                 self.take()
                 return TenureVerdict.HOLD
-            found = self._read()
+            found, uri = self._ask()
             if found == self.entry:
-                return self._holding()
+                return self._holding(uri)
             if found is None:
                 self._write()
                 return TenureVerdict.HOLD
             return TenureVerdict.LEAVE if found < self.entry else TenureVerdict.RETURN
-        except PeerTimeout:
+        except (LookupError, PeerTimeout):
             return TenureVerdict.HOLD
 
     def watch(
@@ -165,12 +165,14 @@ class Tenure:
 
     # Inside
 
-    def _holding(self) -> TenureVerdict:
+    def _holding(self, uri: str) -> TenureVerdict:
         """Whether a process without an entry has taken the name, and does not return it.
+
+        ``uri`` is the address of the name.
 
         That is a manager of ours that registered something before it looked, or a stranger.
         """
-        if not self._uri or self._master.node(self.name) in ("", self._uri):
+        if not self._uri or uri in ("", self._uri):
             self._lost_at = None
             return TenureVerdict.HOLD
         if self._lost_at is None:
@@ -181,6 +183,13 @@ class Tenure:
     @property
     def _key(self) -> str:
         return names.join(self.name, PARAMETER)
+
+    def _ask(self) -> tuple[TenureEntry | None, str]:
+        """Return the entry that is there and the address of the name, as of one moment."""
+        entry, uri = self._master.ask_all(
+            [("getParam", self.name, self._key), ("lookupNode", self.name, self.name)]
+        )
+        return TenureEntry.of(entry), uri or ""
 
     def _read(self) -> TenureEntry | None:
         try:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, Iterable, List, Tuple
 
 import pytest
 from clocks import HandClock
@@ -43,8 +43,11 @@ class Parameters:
             del self.values[key]
         return 0
 
-    def node(self, name: str) -> str:
-        return self.holder
+    def ask_all(self, questions: Iterable[Tuple[str, ...]]) -> List[Any]:
+        if self.is_away:
+            raise PeerTimeout("the master", 1.0)
+        answers = {"getParam": self.values.get(f"{NAME}/tenure"), "lookupNode": self.holder}
+        return [answers[question] for question, *_ in questions]
 
 
 class Side:
