@@ -357,7 +357,7 @@ class SignedTest(ManagerCase):
 
     def start(self) -> tuple[ManagerProcess, Path]:
         """Start a manager; returns it and the file for the nodelets' reports."""
-        manager = self.make(linger=1.0)
+        manager = self.make()
         ontology = Path(manager.state, "ontology.ttl")
         ontology.write_text(ONTOLOGY)
         manager.parameters["ontologies"] = str(ontology)

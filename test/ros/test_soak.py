@@ -48,8 +48,7 @@ SOAKED = [0] * 8 + [4] * 8 + [5, 5, 1, 7]
 class SoakTest(ManagerCase):
     def test_nothing_grows(self):
         print(f"{OPERATIONS} operations, DYKNOW_SOAK_SEED={SEED}", flush=True)
-        # Where a claim's nodelets go at once, a reading need not wait for it.
-        self.manager = self.started(linger=0.0, num_nodelet_managers=2)
+        self.manager = self.started(num_nodelet_managers=2)
         self.client = self.manager.client
         self.client.add_transformation(LIBRARY)
         self.work = Work(self.manager, Promises(), SEED)
