@@ -5,14 +5,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, TypeVar
-
-import rospy
+from typing import Any, Callable
 
 from dyknow.errors import BadParameter
 from dyknow.ros.wire.message_classes import message_class
-
-Parameters = TypeVar("Parameters", bound="PrivateParameters")
 
 
 def get_datatype(nh: Any, parameter: str = "~datatype", default: str = "std_msgs/Header") -> Any:
@@ -42,7 +38,7 @@ def get_positive(nh: Any, name: str, default: float, unit: str) -> float:
 
 
 class PrivateParameters:
-    """Private parameters of this node, asked for once: the master may be far away.
+    """All private parameters of a node, from one question: the master may be far away.
 
     Each method raises BadParameter for a value that is not the expected one.
     """
@@ -50,11 +46,6 @@ class PrivateParameters:
     def __init__(self, given: Any) -> None:
         """Take the parameters; a value in place of all of them has none."""
         self.given: dict[str, Any] = given if isinstance(given, dict) else {}
-
-    @classmethod
-    def ask(cls: type[Parameters]) -> Parameters:
-        """Ask the master for them."""
-        return cls(rospy.get_param("~", {}))
 
     def read(self, name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
         """Return a parameter, also one in a namespace, or its default."""

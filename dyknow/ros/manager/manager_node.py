@@ -415,7 +415,7 @@ def run(argv: Sequence[str], wirings: WiringCalls) -> int:
         kept.look()  # first: a new master may lack our own parameters
         parameters = rospy.get_param("~", {})
         passing = [each for each in _OF_ONE_LIFE if is_given(argv, each)]
-        node = _start(loop, kept, wirings, passing)
+        node = _start(ManagerSettings.read(parameters), loop, kept, wirings, passing)
         back = functools.partial(come_back, parameters)
         tenure.watch(loop, rospy.get_node_uri(), functools.partial(leave, node), back)
         return node
@@ -437,10 +437,13 @@ def run(argv: Sequence[str], wirings: WiringCalls) -> int:
 
 
 def _start(
-    loop: ControlLoop, kept: MasterKeeper, wirings: WiringCalls, passing: Collection[str]
+    settings: ManagerSettings,
+    loop: ControlLoop,
+    kept: MasterKeeper,
+    wirings: WiringCalls,
+    passing: Collection[str],
 ) -> ManagerNode:
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    settings = ManagerSettings.read()
     try:
         node = ManagerNode(settings, loop, kept, wirings, passing)
     except StoreError as error:

@@ -113,10 +113,10 @@ class ManagerSettings:
     limits: SpecificationLimits = DEFAULT_LIMITS
 
     @classmethod
-    def read(cls) -> ManagerSettings:
+    def read(cls, parameters: Any) -> ManagerSettings:
         """Read the node's private parameters; BadParameter if one has an unusable value."""
         node = rospy.get_name()
-        given = _Parameters.ask()
+        given = _Parameters(parameters)
         given.check_groups()
         given.warn_of_unknown()
         return cls(

@@ -87,7 +87,7 @@ class Settings:
         Raises:
             BadParameter: a parameter has no sensible value.
         """
-        given = PrivateParameters.ask()
+        given = PrivateParameters(rospy.get_param("~", {}))
 
         def seconds(name: str, default: float) -> float:
             return given.number(name, default, "seconds above 0", lambda value: value > 0)

@@ -130,9 +130,12 @@ class _ScriptProcess:
 
     def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
-        shared_memory = PrivateParameters.ask().flag("shared_memory", _SETTINGS.shared_memory)
+        given = PrivateParameters(rospy.get_param("~", {}))
         self._manager = NodeletManager(
-            replace(_SETTINGS, shared_memory=shared_memory),
+            replace(
+                _SETTINGS,
+                shared_memory=given.flag("shared_memory", _SETTINGS.shared_memory),
+            ),
             lambda type_name, context: nodelet_class,
             bound=SPAWNED in os.environ,
         )

@@ -24,7 +24,7 @@ def given(monkeypatch):
     found: Dict[str, Any] = {}
 
     def get_param(name: str, default: Any) -> Any:
-        return found.get(name[1:], default) if name != "~" else found
+        return found.get(name[1:], default)
 
     def set_param(name: str, value: Any) -> None:
         found[name[1:]] = value
@@ -48,7 +48,7 @@ def test_unknown_members_of_namespaces_are_named(given, warned):
     given["watchdog"] = {"hang": 10, "memory": 5.0}
     given["limits"] = {"nodelet": 5, "x": 1, "nodelets": 7}
     given["keeps"] = True
-    settings = ManagerSettings.read()
+    settings = ManagerSettings.read(given)
     assert (settings.watchdog.memory, settings.guards.nodelets) == (5.0, 7)
     named = {text.split("~")[1].partition(";")[0] for text in warned}
     assert named == {"keeps", "watchdog/hang", "limits/nodelet", "limits/x"}
@@ -58,23 +58,16 @@ def test_unknown_members_of_namespaces_are_named(given, warned):
     assert known.endswith("; known: ~" + " ~".join(f"limits/{each}" for each in GROUPS["limits"]))
 
 
-def test_the_master_is_asked_once_however_many_parameters_there_are(given, warned, monkeypatch):
+def test_the_master_is_asked_nothing_more_for_single_parameters(given, warned, monkeypatch):
     given["watchdog"] = {"hung": 10.0}
     given["limits"] = {"nodelets": 7}
-    asked: List[str] = []
-    read = rospy.get_param
-    monkeypatch.setattr(
-        rospy, "get_param", lambda name, default: asked.append(name) or read(name, default)
-    )
-    settings = ManagerSettings.read()
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: pytest.fail(f"{name} is asked"))
+    settings = ManagerSettings.read(given)
     assert (settings.watchdog.hung, settings.guards.nodelets) == (10.0, 7)
-    assert asked == ["~"]
 
 
-def test_a_value_in_place_of_all_parameters_is_none_of_them(monkeypatch):
-    monkeypatch.setattr(rospy, "get_param", lambda name, default: 5)
-    monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
-    assert ManagerSettings.read() == ManagerSettings()
+def test_a_value_in_place_of_all_parameters_is_none_of_them(given):
+    assert ManagerSettings.read(5) == ManagerSettings()
 
 
 def test_the_members_are_those_that_the_help_describes():
@@ -87,7 +80,7 @@ def test_the_members_are_those_that_the_help_describes():
 def test_a_namespace_is_no_value(given, warned, group):
     given[group] = 10
     with pytest.raises(BadParameter, match=f"'~{group}' is 10: expected a namespace with "):
-        ManagerSettings.read()
+        ManagerSettings.read(given)
 
 
 @pytest.mark.parametrize("value", [float("inf"), float("nan"), 1e10, -1.0, "soon", True])
@@ -95,9 +88,9 @@ def test_a_namespace_is_no_value(given, warned, group):
 def test_seconds_are_those_that_a_wait_can_last(given, name, value):
     given[name] = value
     with pytest.raises(BadParameter, match=f"'~{name}' is .*: expected seconds, at least"):
-        ManagerSettings.read()
+        ManagerSettings.read(given)
     given[name] = 1e6
-    assert getattr(ManagerSettings.read(), name) == 1e6
+    assert getattr(ManagerSettings.read(given), name) == 1e6
 
 
 def test_names_that_differ_in_their_separators_have_files_of_their_own(monkeypatch, tmp_path):
@@ -135,15 +128,19 @@ def test_a_manager_makes_its_state_dir_absolute(given, tmp_path, monkeypatch):
     """Which is then the same for those that read the parameter in another folder."""
     given["state_dir"] = "state"
     monkeypatch.chdir(tmp_path)
-    settings = ManagerSettings.read()
+    settings = ManagerSettings.read(given)
     assert settings.state_dir == given["state_dir"] == str(tmp_path / "state")
     monkeypatch.chdir("/")
-    assert ManagerSettings.read() == settings
+    assert ManagerSettings.read(given) == settings
     assert Path(manager_settings.mirror_path()).parent == tmp_path / "state"
     given["state_dir"] = ""
-    assert ManagerSettings.read().state_dir == given["state_dir"] == ""
+    assert ManagerSettings.read(given).state_dir == given["state_dir"] == ""
     given["state_dir"] = "~/state"
-    assert ManagerSettings.read().state_dir == given["state_dir"] == os.path.expanduser("~/state")
+    assert (
+        ManagerSettings.read(given).state_dir
+        == given["state_dir"]
+        == os.path.expanduser("~/state")
+    )
 
 
 def test_a_manager_makes_the_paths_of_its_files_absolute(given, tmp_path, monkeypatch):
@@ -152,10 +149,10 @@ def test_a_manager_makes_the_paths_of_its_files_absolute(given, tmp_path, monkey
     given["transformations"] = "a.xml ~/b.xml"
     given["wiring"] = "robot.xml"
     monkeypatch.chdir(tmp_path)
-    settings = ManagerSettings.read()
+    settings = ManagerSettings.read(given)
     assert settings.ontologies == (str(tmp_path / "lab.ttl"),)
     assert settings.transformations == (str(tmp_path / "a.xml"), os.path.expanduser("~/b.xml"))
     assert settings.wiring == str(tmp_path / "robot.xml")
     assert given["catalogues"] == "/c.xml", "as it was given"
     monkeypatch.chdir("/")
-    assert ManagerSettings.read() == settings
+    assert ManagerSettings.read(given) == settings
