@@ -532,11 +532,23 @@ class UnreachableTest(ManagerCase):
         for words in (["list"], ["library"]):
             done = self.check(f"'{MANAGER}' is registered, but does not answer", *words)
             self.assertIn("start it again", done.err)
-        manager.start()
-        self.assertEqual(Done("list").code, 0)
+        self.answers_once_up(manager, "library")
         manager.stop()
         for words in (["list"], ["library"]):
             self.check("is not running: start one", *words)
+        self.answers_once_up(manager, "list")
+        for words in (["list", "--timeout", "1"], ["library", "--timeout", "1"]):
+            node = f"--manager-node={rospy.get_name()}"
+            self.check("or the node is not a DyKnow manager", *words, node)
+
+    def answers_once_up(self, manager, command):
+        """A command waits for the services of a manager that is being started."""
+        master = Master("/test")
+        before = master.node(MANAGER)
+        manager.start(wait=False)
+        eventually(lambda: master.node(MANAGER) not in ("", before), 10.0, "it is registered")
+        done = Done(command)
+        self.assertEqual((done.code, done.err), (0, ""))
 
 
 if __name__ == "__main__":

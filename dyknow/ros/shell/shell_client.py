@@ -15,6 +15,7 @@ import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Any, Callable, Collection, Sequence, TypeVar
 from xml.parsers.expat import ExpatError
 
@@ -42,6 +43,8 @@ _UNSET = object()
 _LOOK, _WORKERS = 1.0, 16
 #: Seconds without an answer after which the user is told.
 _SILENCE = 3.0
+#: Seconds that a manager may take from its registration to its services, and between two looks.
+_STARTING, _AGAIN = 10.0, 0.1
 #: The service of a black box, and seconds that a bag may take.
 _WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
@@ -196,11 +199,12 @@ class ShellClient(ManagerClient):
         self._find_master()
         seconds = self._timeout or timeout
         owner = names.parent(service)
+        call = partial(super()._call, service, kind, seconds, *request, **options)
         notice = threading.Timer(_SILENCE, self._on_wait, [service])
         notice.daemon = True
         notice.start()
         try:
-            return super()._call(service, kind, seconds, *request, **options)
+            return self._once_up(call, seconds) if owner == self.manager else call()
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
         except (ServiceLost, PeerTimeout) as error:
@@ -219,10 +223,30 @@ class ShellClient(ManagerClient):
         seconds = self._timeout or client.ASK_TIMEOUT
         topic = names.join(self.manager, name)
         self._find_master()
+        connect = partial(TopicReader, self._master, self.manager, topic, message_class, seconds)
         try:
-            return TopicReader(self._master, self.manager, topic, message_class, seconds)
+            return self._once_up(connect, seconds)
         except (LookupError, PeerTimeout, OSError) as error:
             raise self._no_manager(error, seconds) from error
+
+    def _once_up(self, ask: Callable[[], T], seconds: float) -> T:
+        """Ask the manager; one that is being started is asked again until it offers the answer."""
+        deadline = time.monotonic() + min(seconds, _STARTING)
+        while True:
+            try:
+                return ask()
+            except (ServiceLost, LookupError, ConnectionRefusedError) as error:
+                if not _is_unoffered(error) or time.monotonic() > deadline or not self._is_there():
+                    raise
+            time.sleep(_AGAIN)
+
+    def _is_there(self) -> bool:
+        """Whether a node of the manager's name answers."""
+        try:
+            uri = self._master.node(self.manager)
+            return bool(uri and self._master.pid(self.manager, uri, _LOOK))
+        except (PeerTimeout, LookupError, OSError):
+            return False
 
     def _nodes_with(self, service: str) -> list[str]:
         return self._on_master(lambda: super(ShellClient, self)._nodes_with(service))
@@ -252,7 +276,12 @@ class ShellClient(ManagerClient):
         """Say why the manager does not answer, and what to do: it is not there, dead, or hangs."""
         cause = error.__cause__ or error
         is_timeout = isinstance(cause, (PeerTimeout, socket.timeout))
-        if isinstance(cause, LookupError) or (not is_timeout and not self._is_registered()):
+        if _is_unoffered(error) and self._is_there():
+            why = (
+                "runs, but does not offer its services: it is being started or ended, or the node "
+                "is not a DyKnow manager"
+            )
+        elif isinstance(cause, LookupError) or (not is_timeout and not self._is_registered()):
             why = (
                 "is not running: start one with 'rosrun dyknow manager', or name another with "
                 "--manager-node or $DYKNOW_MANAGER"
@@ -279,6 +308,11 @@ class ShellClient(ManagerClient):
             return self.manager in self.managers()
         except ManagerUnreachable:
             return True
+
+
+def _is_unoffered(error: BaseException) -> bool:
+    """Whether nobody has received a question, as the service or topic is not there."""
+    return isinstance(error.__cause__ or error, (LookupError, ConnectionRefusedError))
 
 
 def _words(error: BaseException) -> str:
