@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.formulas.types import Lookup
+from dyknow.garbage import without_collection
 from dyknow.locks import state_lock, turn_lock
 from dyknow.manager.bodies import pack, unpack
 from dyknow.manager.specifications.findings import listed
@@ -36,6 +37,7 @@ _log = logging.getLogger("rosout.dyknow")
 class Library:
     """Transformations by label, in memory and in the store; safe from any thread."""
 
+    @without_collection()
     def __init__(
         self,
         store: Store,
@@ -125,6 +127,7 @@ class Library:
             labels: Sequence[str] = list(self._by_label) if len(self._by_label) < 10_000 else ()
         raise UnknownTransformation(label, did_you_mean(label, labels))
 
+    @without_collection()
     def add(
         self,
         text: str,

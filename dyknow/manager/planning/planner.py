@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from typing import AbstractSet, Callable, Iterable, Mapping, Sequence
 
+from dyknow.garbage import without_collection
 from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
 from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
@@ -88,6 +89,7 @@ class Planner:
         """Forget transformations, as far as they are known."""
         self._change(labels, [])
 
+    @without_collection()
     def _change(self, labels: Iterable[str], added: list[Transformation]) -> None:
         known = self._library.actions
         gone = {known[label] for label in labels if label in known}
@@ -95,6 +97,7 @@ class Planner:
         self._reader.forget(gone)
         self._library = self._library.changed(gone, come)
 
+    @without_collection()
     def plan(
         self,
         demand: Demand,
@@ -179,6 +182,7 @@ class Planner:
         """Return the charges of the parts of a plan besides their costs, by label."""
         return _charges(self._library, demand, list(live), exclude, wishes)
 
+    @without_collection()
     def parts(
         self,
         demand: Demand,
@@ -210,6 +214,7 @@ class Planner:
             found.update((head.label, bindings) for head in action.heads)
         return found
 
+    @without_collection()
     def bindings(
         self,
         demand: Demand,
