@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import gc
 import logging
 import os
 import queue
@@ -122,6 +123,7 @@ class NodeProcess:
             log_without_the_master()
             _print_logs_at_least()
             descriptors.enlarge_queue()
+            gc.freeze()  # a full collection of garbage would look at all imports, for 10 ms
             self._shut_down.clear()
             rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
             rospy.on_shutdown(self._on_shutdown)

@@ -201,3 +201,26 @@ def test_nothing_stays_with_the_process():
         [sys.executable, "-c", CODE], stdout=subprocess.PIPE, check=True, timeout=120
     )
     assert int(done.stdout) < 10_000_000
+
+
+STARTED = """
+import gc
+import rospy
+from dyknow.ros.process import node_process
+
+rospy.init_node = lambda *words, **options: None
+node_process.log_without_the_master = lambda: None
+start = lambda: print(gc.get_freeze_count(), len(gc.get_objects()))
+node_process.NodeProcess("test", ["test"], start).run()
+"""
+
+
+def test_collections_of_garbage_spare_what_was_imported():
+    done = subprocess.run(
+        [sys.executable, "-c", STARTED],
+        stdout=subprocess.PIPE,
+        check=True,
+        timeout=120,
+    )
+    spared, others = map(int, done.stdout.split())
+    assert spared > 10_000 > 10 * others
