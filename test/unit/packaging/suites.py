@@ -83,7 +83,7 @@ class Suites:
         for suite in suites:
             differing.update(self._differences(suite))
         print(self._workspace.folder, dict(self._counts))
-        assert self._counts["plain"] > 0
+        assert self._counts["plain"] > 0, "no test passes: is libgtest-dev there to build them?"
         return differing
 
     def _differences(self, suite: Path) -> Verdicts:
