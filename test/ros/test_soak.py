@@ -36,6 +36,8 @@ WARM = 1000
 STRETCH = 500
 #: Bytes that a process may grow in 1,000 operations.
 MOST = 1_000_000
+#: Connections to the ROS master that a process keeps: two for each of its parts that ask it.
+MOST_ASKING = 16
 PROCESSES = 3
 #: The output and the crash record of each nodelet manager, and the outputs of the last that ended.
 KEPT_OUTPUTS = 2 * 2 + 10
@@ -217,9 +219,11 @@ class SoakTest(ManagerCase):
         pids.update({name: child.pid for name, child in sorted(children.items())})
         for name, pid in pids.items():
             process = psutil.Process(pid)
-            asked = self.asked(process, self.manager.node if name == "manager" else name)
+            node = self.manager.node if name == "manager" else name
+            asked, asking = self.connections(process, node)
+            self.assertLessEqual(asking, MOST_ASKING, name)
             found[f"{name} memory"] = process.memory_info().rss
-            found[f"{name} descriptors"] = process.num_fds() - asked
+            found[f"{name} descriptors"] = process.num_fds() - asked - asking
             found[f"{name} threads"] = process.num_threads() - asked
         found["at the master"] = len(everything())
         found["state files"] = len(list(Path(self.manager.state).rglob("*")))
@@ -229,17 +233,21 @@ class SoakTest(ManagerCase):
         found["outputs of children"] = max(0, len(outputs) - KEPT_OUTPUTS)
         return found
 
-    def asked(self, process: psutil.Process, node: str) -> int:
-        """Count the connections that clients keep open to a node's XML-RPC server.
+    def connections(self, process: psutil.Process, node: str) -> tuple[int, int]:
+        """Count the connections to a node's XML-RPC server, and those of the node to the master.
 
-        Each takes a descriptor and a thread of it. The ROS master keeps up to three, one for each
-        of its own threads, to the nodes that it informed lately.
+        Each of the first takes a descriptor and a thread of it. The ROS master keeps up to three,
+        one for each of its own threads, to the nodes that it informed lately. Of the second each
+        part of a node that asks the master keeps two, once it has asked twice at one moment.
         """
-        port = urlsplit(rosgraph.Master(MANAGER).lookupNode(node)).port
-        connections = process.connections("tcp")
-        return sum(
-            each.laddr.port == port and each.status == psutil.CONN_ESTABLISHED
-            for each in connections
+        master = rosgraph.Master(MANAGER)
+        own, its = (urlsplit(uri).port for uri in (master.lookupNode(node), master.getUri()))
+        connections = [
+            each for each in process.connections("tcp") if each.status == psutil.CONN_ESTABLISHED
+        ]
+        return (
+            sum(each.laddr.port == own for each in connections),
+            sum(each.raddr.port == its for each in connections),
         )
 
 
