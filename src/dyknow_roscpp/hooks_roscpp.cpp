@@ -15,6 +15,7 @@
 #include <poll.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <typeinfo>
 
 #include "later.h"
@@ -114,6 +115,18 @@ int ownEvents(int descriptor, int events)
   return (events & END) == 0 || poll(&now, 1, 0) < 0 ? events : events & (~END | now.revents);
 }
 
+/// Shuts roscpp down at the end of a process in which no handle does.
+///
+/// roscpp itself would do so when its objects are destroyed already, while threads use them.
+void endWithProcess()
+{
+  if (ros::ok() && !ros::isShuttingDown())
+  {
+    ros::shutdown();
+  }
+  endLaterWork();
+}
+
 }  // namespace
 
 std::vector<void*> roscppHooks()
@@ -158,6 +171,8 @@ void start()
   static const auto next = dyknow::behind(static_cast<void (*)()>(&ros::start));
   dyknow::topics::noteStart();
   next();
+  // Now: what roscpp has just made is destroyed after that.
+  [[maybe_unused]] static const int failed = std::atexit(&dyknow::endWithProcess);
   // Later: this is called while the first NodeHandle is made, under the lock that the next one needs.
   dyknow::later(
       []

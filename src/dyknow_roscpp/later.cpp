@@ -16,6 +16,8 @@ namespace dyknow
 namespace
 {
 
+constexpr std::chrono::seconds PATIENCE{1};
+
 class Worker
 {
 public:
@@ -30,7 +32,14 @@ public:
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     work_.emplace(due, std::move(work));
-    changed_.notify_one();
+    changed_.notify_all();
+  }
+
+  void end()
+  {
+    std::unique_lock<std::mutex> lock(state_lock_);
+    is_ended_ = true;
+    changed_.wait_until(lock, forWaiting(Clock::now() + PATIENCE), [this] { return !is_busy_; });
   }
 
 private:
@@ -51,9 +60,11 @@ private:
   std::function<void()> next()
   {
     std::unique_lock<std::mutex> lock(state_lock_);
+    is_busy_ = false;
+    changed_.notify_all();
     for (;;)
     {
-      if (work_.empty())
+      if (work_.empty() || is_ended_)
       {
         changed_.wait(lock);
       }
@@ -65,6 +76,7 @@ private:
       {
         auto work = std::move(work_.begin()->second);
         work_.erase(work_.begin());
+        is_busy_ = true;
         return work;
       }
     }
@@ -72,6 +84,8 @@ private:
 
   std::mutex state_lock_;
   std::condition_variable changed_;
+  bool is_busy_ = false;
+  bool is_ended_ = false;
   std::multimap<Clock::time_point, std::function<void()>> work_;
 };
 
@@ -80,6 +94,11 @@ private:
 void later(std::function<void()> work, Clock::time_point due)
 {
   Worker::instance().add(due, std::move(work));
+}
+
+void endLaterWork()
+{
+  Worker::instance().end();
 }
 
 }  // namespace dyknow

@@ -33,6 +33,9 @@ inline auto forWaiting(Clock::time_point deadline)
 /// shuts down.
 void later(std::function<void()> work, Clock::time_point due = Clock::now());
 
+/// Drops that work from now on, and waits for what is being done, for a second at most.
+void endLaterWork();
+
 }  // namespace dyknow
 
 #endif

@@ -99,6 +99,13 @@ class CyclesTest(HabitsCase):
         graph.bus_info("/habits")  # under the address that the master has
 
 
+class EndTest(HabitsCase):
+    def test_a_program_that_starts_roscpp_and_returns_ends_in_order(self):
+        for _ in range(5):
+            code, output = finished([*RUN, *PROGRAM, "start"])
+            self.assertEqual(code, 0, output)
+
+
 class StatisticsTest(HabitsCase):
     """roscpp publishes statistics of messages, by a publisher that ends with a subscription."""
 

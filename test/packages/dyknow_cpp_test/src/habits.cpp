@@ -23,6 +23,7 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <vector>
 
 namespace
@@ -305,6 +306,11 @@ int main(int argc, char** argv)
 {
   std::signal(SIGUSR1, &onSignal);
   ros::init(argc, argv, "habits");
+  if (argc == 2 && std::strcmp(argv[1], "start") == 0)
+  {
+    ros::start();
+    return 0;
+  }
   for (int i = 0; argc > 1 && i < std::atoi(argv[1]); ++i)
   {
     readParameter();
