@@ -230,7 +230,7 @@ class ShellClient(ManagerClient):
             raise self._no_manager(error, seconds) from error
 
     def _once_up(self, ask: Callable[[], T], seconds: float) -> T:
-        """Ask the manager; one that is being started is asked again until it offers the answer."""
+        """Query the manager, and repeat the query while it is starting and offers no answer."""
         deadline = time.monotonic() + min(seconds, _STARTING)
         while True:
             try:
@@ -311,7 +311,7 @@ class ShellClient(ManagerClient):
 
 
 def _is_unoffered(error: BaseException) -> bool:
-    """Whether nobody has received a question, as the service or topic is not there."""
+    """Whether a query reached no process, since its service or topic is missing."""
     return isinstance(error.__cause__ or error, (LookupError, ConnectionRefusedError))
 
 
