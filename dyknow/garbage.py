@@ -14,25 +14,20 @@ import contextlib
 import gc
 from typing import Iterator
 
-from dyknow.locks import state_lock
-
-#: Held to enable the collector, and while it must not be enabled.
-enabling = state_lock("collector of garbage")
-
 
 @contextlib.contextmanager
 def without_collection() -> Iterator[None]:
-    """Collect no garbage meanwhile, in all threads.
+    """Collect no garbage meanwhile, in all threads, as there is no threshold for it.
 
-    Of sections that overlap the first that ends enables the collector: it has its turn however
+    Of sections that overlap the first that ends gives it back: the collector has its turn however
     many threads are in one. Objects without cycles are freed at once, as ever.
     """
-    if not gc.isenabled():
+    thresholds = gc.get_threshold()
+    if not thresholds[0]:
         yield
         return
-    gc.disable()
+    gc.set_threshold(0)
     try:
         yield
     finally:
-        with enabling:
-            gc.enable()
+        gc.set_threshold(*thresholds)

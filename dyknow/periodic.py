@@ -32,7 +32,6 @@ from typing import (
 )
 
 from dyknow.errors import DyKnowError
-from dyknow.garbage import enabling
 from dyknow.locks import reentrant_state_lock, state_condition, state_lock
 
 #: Least seconds between two rounds of a key, however often it is woken.
@@ -69,6 +68,8 @@ class Clock:
 
 
 STEADY = Clock()
+#: So that two threads that disable the collector do not enable it for each other.
+_frames_lock = state_lock("frames of threads")
 
 
 def attempt(what: str, work: Callable[[], T], logger: logging.Logger = _log) -> T | None:
@@ -88,7 +89,7 @@ def current_frames() -> dict[int, FrameType]:
     A collection of garbage within ``sys._current_frames`` can stop the process for ever, before
     CPython 3.11.5 (gh-106883), so there is none.
     """
-    with enabling:
+    with _frames_lock:
         was_enabled = gc.isenabled()
         gc.disable()
         try:

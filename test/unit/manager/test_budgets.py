@@ -94,7 +94,7 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(calls.values()) <= 1_750
     assert len(functions) <= 430
     assert len(calls) <= 34
-    assert 0 < len(locks) <= 74
+    assert 0 < len(locks) <= 72
 
 
 def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:

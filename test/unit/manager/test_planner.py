@@ -141,6 +141,6 @@ def test_garbage_of_other_parts_is_collected_between_plans() -> None:
         planner.add([*cameras, make("stereo", ["A", "B"], ["C"])])
         assert isinstance(planner.plan(demand("C")), Plan)
         assert any(each is young for each in gc.get_objects(generation=0))
+        assert gc.isenabled() and gc.get_threshold()[0] == 10**6
     finally:
         gc.set_threshold(*threshold)
-    assert gc.isenabled()
