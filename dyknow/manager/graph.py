@@ -42,10 +42,7 @@ class Graph:
     """Records by name, with a revision that never goes back; safe from any thread."""
 
     def __init__(
-        self,
-        store: Store,
-        clock: Clock = STEADY,
-        on_change: Callable[[], object] = lambda: None,
+        self, store: Store, clock: Clock = STEADY, on_change: Callable[[], object] = lambda: None
     ) -> None:
         """Start empty, with a revision beyond every one that was ever shown."""
         self._store = store

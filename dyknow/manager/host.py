@@ -13,14 +13,7 @@ import builtins
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import (
-    Callable,
-    Collection,
-    ContextManager,
-    Iterable,
-    Mapping,
-    Sequence,
-)
+from typing import Callable, Collection, ContextManager, Iterable, Mapping, Sequence
 
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.hosts import UNKNOWN_MACHINE, UNKNOWN_OFFSET, ClockOffset, Machine

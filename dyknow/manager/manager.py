@@ -13,22 +13,10 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import (
-    Iterable,
-    Iterator,
-    Mapping,
-    NamedTuple,
-    Sequence,
-)
+from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow import names
-from dyknow.errors import (
-    DyKnowError,
-    FixedTopics,
-    HostError,
-    HostTimeout,
-    InvalidParameters,
-)
+from dyknow.errors import DyKnowError, FixedTopics, HostError, HostTimeout, InvalidParameters
 from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.observer import Observer
 from dyknow.manager.record import Record, with_present_ports

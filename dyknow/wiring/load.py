@@ -68,10 +68,7 @@ def _end(
             raise DyKnowError("it runs again, but is made as the library says now")
 
     return ReversibleStep(
-        f"ending '{former.name}'",
-        former.name,
-        lambda: client.destroy(former.name),
-        bring_back,
+        f"ending '{former.name}'", former.name, lambda: client.destroy(former.name), bring_back
     )
 
 

@@ -6,13 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import (
-    Callable,
-    Collection,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+from typing import Callable, Collection, Iterator, Mapping, Sequence
 
 from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import FixedTopics, InvalidParameters
@@ -244,10 +238,7 @@ def _is_remade(
 
 
 def _otherwise_made(
-    blueprint: Transformation,
-    nodelet: SpawnRequest,
-    present: NodeletStatus,
-    stored: Stored | None,
+    blueprint: Transformation, nodelet: SpawnRequest, present: NodeletStatus, stored: Stored | None
 ) -> tuple[str, ...]:
     """Compare a running nodelet, as far as it is visible, with the file's request for it.
 

@@ -23,12 +23,7 @@ from dyknow.manager.claims.ends import VERDICTS
 from dyknow.manager.claims.world import World
 from dyknow.manager.host import HeardVerdict
 from dyknow.manager.lifecycle import ManagerContext
-from dyknow.manager.planning.problem import (
-    NO_VERDICTS,
-    Verdicts,
-    canonical_tag,
-    required_tags,
-)
+from dyknow.manager.planning.problem import NO_VERDICTS, Verdicts, canonical_tag, required_tags
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Term, parse_tag
 from dyknow.model.graph import State

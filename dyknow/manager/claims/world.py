@@ -28,16 +28,7 @@ from dataclasses import replace
 from functools import cached_property
 from math import inf
 from types import MappingProxyType
-from typing import (
-    AbstractSet,
-    Collection,
-    Dict,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-    Tuple,
-)
+from typing import AbstractSet, Collection, Dict, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from dyknow.errors import UnknownNodelet, WrongStream
 from dyknow.manager.claim import Claim

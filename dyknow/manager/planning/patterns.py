@@ -44,16 +44,7 @@ class Pattern:
         uses: how many in-ports of the library have it; a request's own pattern has none.
     """
 
-    __slots__ = (
-        "atoms",
-        "datatype",
-        "is_plain",
-        "refused",
-        "slow",
-        "types",
-        "uses",
-        "wanted",
-    )
+    __slots__ = ("atoms", "datatype", "is_plain", "refused", "slow", "types", "uses", "wanted")
 
     def __init__(
         self,

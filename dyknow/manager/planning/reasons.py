@@ -112,12 +112,7 @@ def _unmet(search: Search, action: Operator, bounds: Known) -> list[_Open]:
         shown, rest = _shown(read_tags(action.in_ports[port].tags), known_of, request.names)
         pattern = action.inputs[port]
         rate = 0.0 if pattern.slow is None else request.demand.min_rate
-        return _Open(
-            pattern,
-            known,
-            Demand(frozenset(shown), pattern.datatype, rate),
-            tuple(rest),
-        )
+        return _Open(pattern, known, Demand(frozenset(shown), pattern.datatype, rate), tuple(rest))
 
     never = [opened(at, bounds) for at, e in enumerate(action.inputs) if not search.can_be(e)]
     if never:

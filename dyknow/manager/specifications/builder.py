@@ -357,11 +357,7 @@ class Builder:
             )
 
     def _check_variables(
-        self,
-        node: XmlNode,
-        kind: str,
-        ports: tuple[Port, ...],
-        parameters: tuple[Parameter, ...],
+        self, node: XmlNode, kind: str, ports: tuple[Port, ...], parameters: tuple[Parameter, ...]
     ) -> None:
         """Note unbound variables, and types that are not classes.
 

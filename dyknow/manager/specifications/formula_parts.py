@@ -17,13 +17,7 @@ from dyknow.manager.specifications.findings import listed, meant, shorten
 from dyknow.manager.specifications.tags import read_tags, tag_of_individuals
 from dyknow.manager.specifications.values import BadValue, parse_value
 from dyknow.manager.specifications.xml_reader import ANY, Attribute, Element, XmlNode
-from dyknow.model.transformation import (
-    IN,
-    OUT,
-    VERDICT,
-    Parameter,
-    Port,
-)
+from dyknow.model.transformation import IN, OUT, VERDICT, Parameter, Port
 
 #: What of a formula's nodelet a specification may set: the parameter's type, and its default.
 _SETTINGS = {

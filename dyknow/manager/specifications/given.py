@@ -89,9 +89,7 @@ def exposed_variables(transformation: Transformation) -> set[str]:
 
 
 def completed(
-    transformation: Transformation,
-    given: Sequence[Parameter],
-    ontology: Subsumption | None = None,
+    transformation: Transformation, given: Sequence[Parameter], ontology: Subsumption | None = None
 ) -> tuple[Parameter, ...]:
     """Check parameters that are given to a nodelet.
 

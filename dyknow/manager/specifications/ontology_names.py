@@ -152,11 +152,7 @@ class Naming:
     """
 
     def __init__(
-        self,
-        what: str,
-        entities: Iterable[str],
-        labels: Labels,
-        alike: Callable[[str, str], bool],
+        self, what: str, entities: Iterable[str], labels: Labels, alike: Callable[[str, str], bool]
     ) -> None:
         """Name classes, or individuals, as ``what`` says; alike ones may share a term."""
         self._labels = labels

@@ -90,10 +90,7 @@ def value_of(parameter: Parameter) -> Value:
 
 
 def filled(
-    type_: str,
-    text: str,
-    names: Mapping[str, str],
-    limits: SpecificationLimits = DEFAULT_LIMITS,
+    type_: str, text: str, names: Mapping[str, str], limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> str:
     """Put names for the placeholders of a parameter; in YAML they are strings, or parts of them.
 

@@ -13,13 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from textwrap import dedent
-from typing import (
-    Callable,
-    Iterator,
-    Mapping,
-    NamedTuple,
-    NoReturn,
-)
+from typing import Callable, Iterator, Mapping, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from dyknow.manager.specifications.findings import EnoughProblems, Findings, meant, shorten
