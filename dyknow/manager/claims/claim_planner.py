@@ -19,7 +19,6 @@ from dyknow.manager.claim import STREAM, Claim, demand_of
 from dyknow.manager.claims.connector import ClaimContext
 from dyknow.manager.claims.ends import RELAY_COST, is_monitor, is_relay
 from dyknow.manager.library import Library
-from dyknow.manager.planning.matching import matched
 from dyknow.manager.planning.planner import BUDGET, Planner
 from dyknow.manager.planning.problem import (
     NO_LABELS,
@@ -38,6 +37,7 @@ from dyknow.manager.planning.problem import (
     required_tags,
     ways_to_meet,
 )
+from dyknow.manager.planning.request import matched
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, read_tags

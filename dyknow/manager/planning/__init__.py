@@ -21,8 +21,8 @@ The way of a request through `planner`::
     planner      a plan with its cost and bound; or reasons, why there is none
 
 Reach, search and improvement work on one kind of graph, the `and_or_graph`, whose nodes and
-instances are numbers. Where nodelets can be connected elsewhere, `matching` gives them to the
-instances that they fit.
+instances are numbers. Where nodelets can be connected elsewhere, `request.matched` gives them to
+the instances that they fit.
 
 `explanation` writes the plan for people.
 """

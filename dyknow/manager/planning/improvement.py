@@ -23,8 +23,7 @@ from itertools import accumulate
 from operator import or_
 from typing import Callable, Iterable, NamedTuple, Sequence
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node
-from dyknow.manager.planning.reach import Reach
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Draft, Instance, Node, Reach
 from dyknow.manager.planning.request import NEVER
 from dyknow.manager.planning.search import Search
 

@@ -16,7 +16,7 @@ import time
 from typing import AbstractSet, Callable, Iterable, Mapping, Sequence
 
 from dyknow.garbage import without_collection
-from dyknow.manager.planning.and_or_graph import Draft, Instance, Node
+from dyknow.manager.planning.and_or_graph import Draft, Instance, Node, Reach
 from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
 from dyknow.manager.planning.patterns import NO_TYPES, Names
@@ -41,7 +41,6 @@ from dyknow.manager.planning.problem import (
     Verdicts,
     Wishes,
 )
-from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.reasons import no_plan, too_few
 from dyknow.manager.planning.request import NEVER, NO_FEEDERS, Request
 from dyknow.manager.planning.search import Search

@@ -14,7 +14,7 @@ import heapq
 import itertools
 from dataclasses import replace
 from types import MappingProxyType
-from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence
+from typing import AbstractSet, Dict, Iterable, Iterator, Mapping, Sequence, TypeVar
 
 from dyknow.manager.planning.library import (
     Head,
@@ -52,6 +52,9 @@ MANY = 300
 NEVER = 2**62
 #: Out-ports that are looked at to explain why one demand is not met.
 _MOST_ALIKE = 5_000
+
+Need = TypeVar("Need")
+Nodelet = TypeVar("Nodelet")
 
 NO_CHARGES: Mapping[str, int] = MappingProxyType({})
 """Nothing has to be paid besides the costs."""
@@ -296,3 +299,38 @@ class Request:
         if head.port.rate:
             return head.port.rate >= self.demand.min_rate
         return action.slow is not None or not action.inputs
+
+
+def matched(
+    fitting: Mapping[Need, Iterable[Nodelet]], begun: Mapping[Need, Nodelet]
+) -> dict[Need, Nodelet]:
+    """Give as many needs as possible a nodelet that fits, by augmenting paths.
+
+    H. W. Kuhn, "The Hungarian method for the assignment problem", Naval Research Logistics
+    Quarterly 2, 1955.
+
+    Args:
+        fitting: the nodelets that fit each need, the preferred ones first.
+        begun: a matching to begin with; needs that have a nodelet in it keep one.
+    """
+    found = dict(begun)
+    users = {nodelet: need for need, nodelet in begun.items()}
+    for need in [each for each in fitting if each not in found]:
+        #: The needs that would take each nodelet.
+        takers: Dict[Nodelet, Need] = {}
+        waiting = [need]
+        for taker in waiting:  # grows meanwhile
+            left = [each for each in fitting[taker] if each not in takers]
+            takers.update(dict.fromkeys(left, taker))
+            unused = next((each for each in left if each not in users), None)
+            if unused is None:
+                waiting += [users[each] for each in left]
+                continue
+            path: Nodelet | None = unused
+            while path is not None:  # each on the path takes the nodelet of the one before
+                user = takers[path]
+                before = found.get(user)
+                users[path], found[user] = user, path
+                path = before
+            break
+    return found

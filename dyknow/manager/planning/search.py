@@ -22,10 +22,9 @@ from functools import lru_cache
 from operator import itemgetter
 from typing import Any, Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple
 
-from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node
+from dyknow.manager.planning.and_or_graph import AndOrGraph, Instance, Node, Reach
 from dyknow.manager.planning.library import Offer, Operator
 from dyknow.manager.planning.patterns import Known, Pattern, Theta, ground, solutions
-from dyknow.manager.planning.reach import Reach
 
 #: Steps of a budget that one entry of the search's queue takes.
 _EFFORT = 200

@@ -13,11 +13,11 @@ from clocks import in_thread, join
 from unit.manager.planning.examples import demand, make, planner_with
 
 from dyknow.manager.planning import planner
+from dyknow.manager.planning.and_or_graph import Reach
 from dyknow.manager.planning.library import OperatorIndex, Reader
 from dyknow.manager.planning.patterns import Names
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NoPlan, Plan
-from dyknow.manager.planning.reach import Reach
 from dyknow.manager.planning.request import Request
 from dyknow.manager.planning.search import Search
 from dyknow.manager.specifications.tags import NO_ONTOLOGY
