@@ -47,11 +47,8 @@ class Library:
     ) -> None:
         """Read the store.
 
-        Args:
-            store: durable state.
-            ontology: has the individuals of concepts, for templates.
-            limits: of the texts that are added.
-            types: describes message types, for formulas.
+        The ontology has the individuals of concepts, for templates; ``types`` describes message
+        types, for formulas; texts that are added have to keep the limits.
         """
         self._store = store
         self._concepts = ontology
@@ -67,9 +64,8 @@ class Library:
             store.write({("facts", "library_revision"): str(self.revision)})
         #: The transformations that require verdicts, by label; replaced as a whole by a change.
         self.guarded: Mapping[str, Transformation] = _guarded(self._by_label)
-        self._topics: list[Transformation] = []
-        self._nodes: dict[str, Transformation] = {}
-        self._described_at = -1
+        self._known: tuple[list[Transformation], dict[str, Transformation]] = [], {}
+        self._known_at = -1
         self._follow_schema()
 
     @property
@@ -98,21 +94,11 @@ class Library:
 
     def topics(self) -> list[Transformation]:
         """Return the transformations of type topic, by label: the same list until one changes."""
-        with self._state_lock:
-            self._find_described()
-            return self._topics
+        return self._described()[0]
 
-    def nodes(self) -> list[str]:
-        """Return the names of the described external nodes, sorted."""
-        with self._state_lock:
-            self._find_described()
-            return sorted(self._nodes)
-
-    def of_node(self, name: str) -> Transformation | None:
-        """Return the description of an external node, or None."""
-        with self._state_lock:
-            self._find_described()
-            return self._nodes.get(name)
+    def nodes(self) -> Mapping[str, Transformation]:
+        """Return the descriptions of external nodes by name, sorted."""
+        return self._described()[1]
 
     def find(self, label: str) -> Transformation | None:
         with self._state_lock:
@@ -136,10 +122,7 @@ class Library:
     ) -> Specifications:
         """Add the transformations of a specification; those of known labels are replaced.
 
-        Args:
-            text: XML.
-            file_name: its origin, for messages.
-            check: raises an error if one of them must not be added.
+        ``check`` raises an error if one of them must not be added.
 
         Raises:
             SpecificationError: the text is wrong, or describes a node that another transformation
@@ -177,19 +160,21 @@ class Library:
         changes = {("transformations", label): body for label, body in bodies.items()}
         self._store.write({**changes, ("facts", "library_revision"): str(self.revision + 1)})
 
-    def _find_described(self) -> None:
-        """Index the descriptions of topics and nodes, once for each revision; under the lock."""
-        if self._described_at == self.revision:
-            return
-        found = [each for each in self._by_label.values() if each.is_described]
-        found.sort(key=lambda each: each.label)
-        self._topics = [each for each in found if each.type == TOPIC]
-        self._nodes = {each.node: each for each in reversed(found) if each.node}
-        self._described_at = self.revision
+    def _described(self) -> tuple[list[Transformation], dict[str, Transformation]]:
+        """Find the descriptions of topics, and those of nodes; once for each revision."""
+        with self._state_lock:
+            if self._known_at != self.revision:
+                found = [each for each in self._by_label.values() if each.is_described]
+                found.sort(key=lambda each: each.label)
+                nodes = {each.node: each for each in reversed(found) if each.node}
+                topics = [each for each in found if each.type == TOPIC]
+                self._known, self._known_at = (topics, dict(sorted(nodes.items()))), self.revision
+            return self._known
 
     def _check_nodes(self, new: Mapping[str, Transformation], file_name: str) -> None:
         """Check that no node is described twice."""
-        present = [(each, self.of_node(each.node)) for each in new.values() if each.node]
+        nodes = self.nodes()
+        present = [(each, nodes.get(each.node)) for each in new.values() if each.node]
         problems = [
             Problem(
                 file_name,

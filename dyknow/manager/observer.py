@@ -40,11 +40,10 @@ from dyknow.periodic import PAUSE
 #: stream is interrupted meanwhile.
 _FIRST_PAUSE = 0.25
 
-_log = logging.getLogger("rosout.dyknow")
-
-
 #: Seconds between two looks when nothing happens.
 PERIOD = 0.5
+
+_log = logging.getLogger("rosout.dyknow")
 
 
 class Fate(enum.Enum):
@@ -362,7 +361,7 @@ class Observer:
         """Return the blueprint of a spawned nodelet, or the description of an external node."""
         if record.is_spawned or not record.kind.is_node:
             return record.transformation
-        return self._library.of_node(record.name)
+        return self._library.nodes().get(record.name)
 
     def _is_unlisted(self, record: Record) -> bool:
         """Whether the process of a nodelet runs on without it.

@@ -219,9 +219,8 @@ class ClaimPlanner:
             for each in self._world().descriptions
             if each.source not in self.published
         }
-        for name in library.nodes():
-            node = library.of_node(name)
-            if node is not None and node.label not in running:
+        for name, node in library.nodes().items():
+            if node.label not in running:
                 absent[f"node {name} does not run"] = node
         found = {
             demand: tuple(
@@ -284,9 +283,8 @@ class ClaimPlanner:
         known = self.transformations()
         found: set[Term] = set()
         waiting = [(claim.demand, frozenset(claim.request.exclude)) for claim in claims]
-        streams = [
-            each for each in self._streams(NO_LABELS, frozenset()) if not self._is_claimed(each[0])
-        ]
+        claimed = {name for name, each in self._world().records.items() if each.claimed}
+        streams = [e for e in self._streams(NO_LABELS, NO_LABELS) if e[0].nodelet not in claimed]
         with self._planning(known) as (planner, _):
             for demand, exclude in waiting:  # grows meanwhile
                 tags = {
@@ -308,10 +306,6 @@ class ClaimPlanner:
         }
         found.update((e.source, e.label) for e in world.descriptions if e.source in claim.sources)
         return {part: label for part, label in found.items() if label in library}
-
-    def _is_claimed(self, stream: Live) -> bool:
-        record = self._world().records.get(stream.nodelet)
-        return record is not None and record.claimed
 
     def _moment(self) -> Hashable:
         return self.signature(), self._table.living

@@ -119,7 +119,7 @@ def test_a_node_is_described_once(robot: Robot) -> None:
     with pytest.raises(SpecificationError, match="is described by 'driver' already; remove"):
         robot.manager.add_transformation(CAMERA.replace("driver", "other"))
     robot.manager.add_transformation(CAMERA.replace("YUV", "Raw"))
-    assert robot.manager.library.of_node("/robot/camera") == robot.manager.library.get("driver")
+    assert robot.manager.library.nodes()["/robot/camera"] == robot.manager.library.get("driver")
 
 
 def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) -> None:
