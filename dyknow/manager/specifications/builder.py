@@ -260,7 +260,10 @@ class Builder:
             name = port.text
             if not is_template:
                 self._check_name("port", port)
-                self._check_datatype(port)
+                datatype = port.get("datatype")
+                if datatype and not _DATATYPE.match(datatype):
+                    expected = "expected a ROS type such as sensor_msgs/Image"
+                    self._problem(port, f'datatype="{shorten(datatype)}": {expected}')
                 if port.get("rate") or port.get("latency"):
                     stated[name] = (self._stated("rate", port), self._stated("latency", port))
             if name in lines:
@@ -325,26 +328,11 @@ class Builder:
                 self._warning(tag, f"the port '{shorten(port)}' has this tag already")
             else:
                 of_port.append(text)
-                if text:
-                    self._check_tag(tag)
-
-    def _check_tag(self, tag: XmlNode) -> None:
-        found = _read_tag(tag.text)
-        if isinstance(found, InvalidType):
-            self._problem(tag, f"the tag '{shorten(tag.text)}': {found.expected}")
-        elif isinstance(found, InvalidTag):
-            self._warning(
-                tag,
-                f"the tag '{shorten(tag.text)}' is passed over by the planner: {found.expected}",
-            )
-
-    def _check_datatype(self, port: XmlNode) -> None:
-        datatype = port.get("datatype")
-        if datatype and not _DATATYPE.match(datatype):
-            self._problem(
-                port,
-                f'datatype="{shorten(datatype)}": expected a ROS type such as sensor_msgs/Image',
-            )
+                found, quoted = _read_tag(text), f"the tag '{shorten(text)}'"
+                if isinstance(found, InvalidType):
+                    self._problem(tag, f"{quoted}: {found.expected}")
+                elif isinstance(found, InvalidTag) and text:
+                    self._warning(tag, f"{quoted} is passed over by the planner: {found.expected}")
 
     def _check_name(self, what: str, node: XmlNode, name: str | None = None) -> None:
         name = node.text if name is None else name

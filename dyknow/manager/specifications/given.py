@@ -91,15 +91,10 @@ def exposed_variables(transformation: Transformation) -> set[str]:
 def completed(
     transformation: Transformation, given: Sequence[Parameter], ontology: Subsumption | None = None
 ) -> tuple[Parameter, ...]:
-    """Check parameters that are given to a nodelet.
+    """Check parameters that are given to a nodelet; returns them with their types, by name.
 
-    Args:
-        transformation: blueprint of the nodelet.
-        given: where the type is empty, it is the transformation's or follows from the text.
-        ontology: subsumption of names; None: the types of variables are not checked.
-
-    Returns:
-        The same with their types, by name.
+    An empty type is the transformation's or follows from the text. Without an ontology the types
+    of variables are not checked.
 
     Raises:
         InvalidParameters: they cannot be used; all problems are named.
@@ -123,7 +118,10 @@ def completed(
         type_ = type_ or declared.get(name) or infer_type(text)
         if not name or name[0] in "/~" or name.split() != [name]:
             problems.append(f"'{shorten(name)}' is no name of a parameter; expected one like rate")
-        problems += _problems_of_value(name, type_, text)
+        try:
+            parse_value(type_, text)
+        except BadValue as error:
+            problems.append(f"the parameter '{shorten(name)}': {error}")
         done.append(Parameter(name, type_, text))
     if problems:
         raise InvalidParameters(transformation.label, problems)
@@ -135,10 +133,6 @@ def set_on_load(
     transformation: Transformation, given: Sequence[Parameter]
 ) -> tuple[Parameter, ...]:
     """Return the parameters to set in a nodelet's namespace before it is loaded.
-
-    Args:
-        transformation: blueprint of the nodelet.
-        given: parameters that were given to the nodelet, with their types.
 
     Raises:
         InvalidParameters: placeholders stay unfilled, or a value is not of its type.
@@ -179,10 +173,3 @@ def _problems_of_variable(name: str, type_: str, text: str, known: set[str]) -> 
         yield f"{shorten(name)} is given as {type_}; expected a name, of type string"
     if not text.strip() or text.strip() != text or text[0] == "?" or set(text) & set("(),"):
         yield f"{shorten(name)} is given '{shorten(text)}'; expected a name such as cam1"
-
-
-def _problems_of_value(name: str, type_: str, text: str) -> Iterable[str]:
-    try:
-        parse_value(type_, text)
-    except BadValue as error:
-        yield f"the parameter '{shorten(name)}': {error}"

@@ -83,16 +83,10 @@ class Ontology:
         self._above_classes: dict[frozenset[str], frozenset[str]] = {}
 
     def individuals(self, concept: str) -> tuple[str, ...]:
-        """Return the terms of the individuals of a class, those of its subclasses included.
+        """Return the terms of the individuals of a class (a URI) and its subclasses, sorted.
 
         An individual without a label goes by the last part of its URI; one without a URI is left
         out then. Of several labels the one in the preferred language counts, as `Labels` says.
-
-        Args:
-            concept: the URI of the class.
-
-        Returns:
-            The terms, sorted; empty if there is no individual.
 
         Raises:
             UnknownConcept: no class has this URI.

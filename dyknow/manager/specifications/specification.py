@@ -92,12 +92,8 @@ def parse(
 ) -> Specifications:
     """Parse a specification, or many in a `<transformations>` element.
 
-    Args:
-        text: The XML, as characters or as UTF-8.
-        file_name: The name to use in messages.
-        ontology: Has the individuals of the classes that templates name.
-        limits: The caps to hold.
-        types: Describes message types, as far as they are known, for formulas.
+    The text is characters or UTF-8. The ontology has the individuals of the classes that templates
+    name, ``types`` describes message types, as far as they are known, for formulas.
 
     Raises:
         SpecificationError: With every problem of the text.
@@ -112,10 +108,7 @@ def parse(
 
 
 def parse_file(
-    path: str,
-    ontology: Concepts | None = None,
-    limits: SpecificationLimits = DEFAULT_LIMITS,
-    types: Lookup = no_types,
+    path: str, ontology: Concepts | None = None, types: Lookup = no_types
 ) -> Specifications:
     """Parse a file, which messages name as it is given here.
 
@@ -125,11 +118,11 @@ def parse_file(
     name = os.fspath(path)
     try:
         with open(name, "rb") as file:
-            data = file.read(limits.text_size + 1)
+            data = file.read(DEFAULT_LIMITS.text_size + 1)
     except OSError as error:
         reason = f"cannot be read: {error.strerror or error}"
         raise SpecificationError([Problem(name, 0, reason)]) from error
-    return parse(data, name, ontology, limits, types)
+    return parse(data, name, ontology, types=types)
 
 
 def transformations_of(

@@ -165,13 +165,7 @@ def unify(
     ontology: Subsumption,
     bindings: Mapping[str, str] = NO_BINDINGS,
 ) -> dict[str, str] | None:
-    """Match a supplied tag, which is ground, with a demanded one.
-
-    Args:
-        supplied: the tag of a stream.
-        demanded: the tag of a demand.
-        ontology: subsumption of names.
-        bindings: values of variables that are bound already.
+    """Match a supplied tag, which is ground, with a demanded one, given some bindings.
 
     Returns:
         The bindings and those of the variables that the demanded tag binds first, each to the

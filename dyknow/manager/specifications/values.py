@@ -50,15 +50,7 @@ def infer_type(text: str) -> str:
 
 
 def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> Value:
-    """Parse the text of a parameter.
-
-    Args:
-        type_: `string`, `int`, `double`, `bool` or `yaml`.
-        text: The value as written.
-        limits: The caps on YAML.
-
-    Returns:
-        The value for the parameter server.
+    """Parse the text of a parameter into the value for the parameter server.
 
     Raises:
         BadValue: The text is not of this type, or the parameter server cannot hold it.
@@ -93,12 +85,6 @@ def filled(
     type_: str, text: str, names: Mapping[str, str], limits: SpecificationLimits = DEFAULT_LIMITS
 ) -> str:
     """Put names for the placeholders of a parameter; in YAML they are strings, or parts of them.
-
-    Args:
-        type_: as for ``parse_value``.
-        text: the value as written.
-        names: what each variable stands for.
-        limits: the caps on YAML.
 
     Raises:
         BadValue: the text is not YAML.

@@ -137,12 +137,9 @@ class XmlReader:
     """Reads one text."""
 
     def __init__(self, findings: Findings, *roots: Element) -> None:
-        """Prepare to read.
+        """Prepare to read a text that begins with one of the elements of ``roots``.
 
-        Args:
-            findings: where problems are noted. Reading goes on after a problem for as long as the
-                text is well-formed.
-            roots: the rules of the elements that the text may start with.
+        Reading goes on after a problem for as long as the text is well-formed.
         """
         self._findings = findings
         self._limits = findings.limits
@@ -163,10 +160,7 @@ class XmlReader:
         self._parser.XmlDeclHandler = self._declaration
 
     def read(self, text: str | bytes) -> Iterator[XmlNode]:
-        """Return the units of a text that are complete, problems or not.
-
-        Args:
-            text: the XML, as characters or as UTF-8.
+        """Return the units of a text (characters or UTF-8) that are complete, problems or not.
 
         Raises:
             EnoughProblems: the text cannot be read beyond a problem, which was noted.
