@@ -212,15 +212,9 @@ class AndOrGraph:
     def derive(self, instances: Iterable[Instance], is_late: bool = False) -> dict[Node, Instance]:
         """Make all nodes that some instances alone can make in time, each as soon as possible.
 
-        Without a limit of the age no node is later than another one. Where a nodelet has fast
-        inputs or others, the instance with fast ones counts, which makes all that the other does.
-
-        Args:
-            instances: the ones to use.
-            is_late: ignore the limit of the age.
-
-        Returns:
-            The maker of each node that is made, without a cycle.
+        Without a limit of the age no node is later than another one; ``is_late`` ignores it. Where
+        a nodelet has fast inputs or others, the instance with fast ones counts, which makes all
+        that the other does. Returns the maker of each node that is made, without a cycle.
         """
         begins, users = self._users
         missing = {each: len(self.needs[each]) for each in instances}

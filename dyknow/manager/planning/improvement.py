@@ -256,10 +256,8 @@ class _Solver:
         The second is one discrepancy from the seemingly best, the third is two, and in each round
         plans may have twice as many of these.
 
-        Args:
-            bound: a bound for the cost of every plan.
-            rest: least costs of the actions of a plan besides.
-            below: cost of the known plan.
+        Every plan costs the bound at least, and besides the ``rest`` of its actions; the known one
+        costs ``below``.
 
         Returns:
             The best plan that costs less, empty if none was found; and whether everything was

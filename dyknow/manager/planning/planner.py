@@ -187,15 +187,8 @@ class Planner:
         demand: Demand,
         live: Iterable[TaggedStream] = (),
         exclude: AbstractSet[str] = NO_LABELS,
-        budget: float = BUDGET,
     ) -> set[tuple[str, Bindings]]:
-        """Find every possible part of a plan, under any verdicts.
-
-        Args:
-            demand: tags and type of the stream.
-            live: streams that exist, with their tags.
-            exclude: labels that must not be used.
-            budget: seconds that this may take, counted in steps.
+        """Find every possible part of a plan, under any verdicts; the arguments are as for `plan`.
 
         Returns:
             Labels, also of live streams, each with bindings of the variables that tell its
@@ -204,7 +197,7 @@ class Planner:
         request = Request(self._library, demand, list(live), exclude, verdicts=None)
         request.is_whole = True
         search = Search(Reach(request), NEVER)
-        search.run(int(budget * STEPS))
+        search.run(int(BUDGET * STEPS))
         written = request.names.written
         found: set[tuple[str, Bindings]] = set()
         for number, theta in enumerate(search.graph.thetas):
@@ -219,15 +212,8 @@ class Planner:
         demand: Demand,
         live: Iterable[TaggedStream] = (),
         verdicts: Verdicts | None = NO_VERDICTS,
-        budget: float = BUDGET,
     ) -> tuple[list[Bindings], bool]:
-        """Find all that the variables of a demand can stand for.
-
-        Args:
-            demand: tags and type of the stream.
-            live: streams that exist, with their tags.
-            verdicts: those that transformations require; None to disregard them.
-            budget: seconds that this may take, counted in steps.
+        """Find all that the variables of a demand can stand for; the arguments are as for `plan`.
 
         Returns:
             The bindings, sorted, and whether these are all. Without a variable there is an empty
@@ -236,7 +222,7 @@ class Planner:
         variables = sorted({each for term in demand.tags for each in term.variables})
         request = Request(self._library, demand, list(live), wanted=variables, verdicts=verdicts)
         search = Search(Reach(request))
-        search.run(int(budget * STEPS), is_all=True)
+        search.run(int(BUDGET * STEPS), is_all=True)
         written = request.names.written
         found = [
             tuple(zip(variables, map(written, search.graph.names[node])))

@@ -307,11 +307,8 @@ def matched(
     """Give as many needs as possible a nodelet that fits, by augmenting paths.
 
     H. W. Kuhn, "The Hungarian method for the assignment problem", Naval Research Logistics
-    Quarterly 2, 1955.
-
-    Args:
-        fitting: the nodelets that fit each need, the preferred ones first.
-        begun: a matching to begin with; needs that have a nodelet in it keep one.
+    Quarterly 2, 1955. The preferred nodelets come first among those that fit a need. Needs that
+    have a nodelet in the matching to begin with keep one.
     """
     found = dict(begun)
     users = {nodelet: need for need, nodelet in begun.items()}

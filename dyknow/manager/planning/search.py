@@ -107,12 +107,10 @@ class Search:
     """
 
     def __init__(self, reach: Reach, below: int | None = None) -> None:
-        """Start the search at the goal.
+        """Start at the goal of a reach, whose nodes without a least cost cannot be supplied.
 
-        Args:
-            reach: the reach of the goal; nodes without a least cost cannot be supplied.
-            below: collect all that a plan which costs less can have. Costs are then the maximum
-                over the inputs, not the sum, and no plan costs less than that.
+        With ``below`` collect all that a plan which costs less can have. Costs are then the
+        maximum over the inputs, not the sum, and no plan costs less than that.
         """
         self._request = request = reach.request
         self._names = request.names
