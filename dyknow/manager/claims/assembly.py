@@ -112,13 +112,8 @@ class Assembly(Transaction):
     ) -> None:
         """Prepare; nothing is changed yet.
 
-        Args:
-            context: of the reconciler.
-            claim: whose stream it is.
-            plan: the plan.
-            own: nodelets that are used for steps of the plan.
-            movable: all healthy nodelets that can be connected elsewhere for the claim.
-            ordinary: topics that the library describes and ordinary nodes publish.
+        Nodelets of ``own`` are used for steps of the plan, ``movable`` are all healthy ones that
+        can be connected elsewhere for the claim. Ordinary nodes publish on ``ordinary`` topics.
         """
         super().__init__(context)
         self._manager = context.manager

@@ -136,19 +136,16 @@ class Connector:
             ):
                 self.unknown[name] = now + _PAUSE
                 try:
-                    self._show_present(name)
+                    with self._graph.changing(name) as present:
+                        if present is not None and present.state is State.RUNNING:
+                            ports = self._host.ports(name)
+                            self._graph.put(with_present_ports(present, ports))
                 except HostTimeout:
                     hanging.add(record.manager)
                 except DyKnowError:
                     continue  # it is polled again
                 else:
                     self._settle(name, self._clock())
-
-    def _show_present(self, name: str) -> None:
-        """Show the present ports of a nodelet at once."""
-        with self._graph.changing(name) as record:
-            if record is not None and record.state is State.RUNNING:
-                self._graph.put(with_present_ports(record, self._host.ports(name)))
 
     def _show(self, name: str, config: Config) -> None:
         with self._graph.changing(name, patience=_PATIENCE) as record:

@@ -135,7 +135,8 @@ def ways_to_bind(
                 for before in found
                 for way in ways_to_meet(tags, datatype, demand, ontology, before)
             )
-            found = list(_distinct(itertools.islice(more, _MOST_WAYS)))
+            distinct = {tuple(sorted(e.items())): e for e in itertools.islice(more, _MOST_WAYS)}
+            found = list(distinct.values())
     return found
 
 
@@ -143,13 +144,6 @@ def supplied(tags: Sequence[Term], ways: Iterable[Way]) -> tuple[Term, ...]:
     """Return the tags of an out-port in all ways; with unbound variables they supply nothing."""
     bound = [term.substitute(way) for way in ways for term in tags]
     return tuple(dict.fromkeys(term for term in bound if term.is_ground))
-
-
-def _distinct(ways: Iterable[Way]) -> Iterable[Way]:
-    found: dict[tuple[tuple[str, str], ...], Way] = {}
-    for way in ways:
-        found.setdefault(tuple(sorted(way.items())), way)
-    return found.values()
 
 
 class Producer(NamedTuple):
@@ -253,10 +247,10 @@ def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
     has_variables = bool(record.given)
     declared = record.transformation.ports if record.transformation is not None else ()
     seen = {port.name: port for port in record.ports}
-    names = [port.name for port in declared]
-    undeclared = [each for each in record.ports if each.name not in names]
-    others = [Port(each.name, each.direction, each.datatype) for each in undeclared]
-    for port in (*declared, *others):
+    ports = {port.name: port for port in declared}
+    for each in record.ports:
+        ports.setdefault(each.name, Port(each.name, each.direction, each.datatype))
+    for port in ports.values():
         found = seen.get(port.name)
         is_typed = found is not None and found.datatype not in ANY
         datatype = found.datatype if found is not None and is_typed else port.datatype

@@ -63,15 +63,11 @@ class GarbageCollector:
             ]
             self._disconnect(record, unneeded)
         for name, topics in sorted(self._world().stale().items()):
-            self._reconfigure(name, topics)
+            stale = self._graph.find(name)  # people have put another individual on a topic
+            if stale is not None and self._is_reachable(stale):
+                self._try(stale, partial(Transaction(self._context).reconfigure, name, topics))
         for topic, producer, consumer in self._world().all_mismatches:
             self._separate(topic, producer, consumer, wires)
-
-    def _reconfigure(self, name: str, topics: dict[str, str]) -> None:
-        """Reconfigure a nodelet where people have put another individual on a topic."""
-        record = self._graph.find(name)
-        if record is not None and self._is_reachable(record):
-            self._try(record, partial(Transaction(self._context).reconfigure, name, topics))
 
     def _separate(
         self, topic: str, producer: Producer, consumer: Consumer, wires: AbstractSet[Wire]

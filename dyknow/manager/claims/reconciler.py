@@ -74,13 +74,9 @@ class StreamReconciler:
     # Requests of clients. Other work goes on while they plan: plans are checked before their use
 
     def acquire(self, request: StreamRequest, dry_run: bool = False) -> Acquired:
-        """Make a stream, and keep it until it is released or its lease ends.
+        """Make a stream, or only plan it, and keep it until it is released or its lease ends.
 
         A request that cannot be met now stays pending: ``NoPlanFound`` has the id of its claim.
-
-        Args:
-            request: of the client.
-            dry_run: only plan.
 
         Raises:
             BadParameter: a value of the request is of no use.
@@ -280,7 +276,9 @@ class StreamReconciler:
             self._collector.disconnect()
             attempt("judging streams", partial(self._monitor.read, self._repair.hold()), _log)
             self._repair.keep(self._table.living)
-            for claim in sorted(self._table.living, key=_small_streams_first):
+            # A lost part that a client listens to is replaced where that client listens. Claims
+            # that use this claim's stream come behind it: they follow, without a relay.
+            for claim in sorted(self._table.living, key=lambda each: len(each.nodelets)):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
                 # No fault of one stream is to keep another one from its repair.
@@ -324,18 +322,10 @@ def open_reconciler(
 ) -> StreamReconciler:
     """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
 
-    Args:
-        host: reaches the nodelet managers.
-        store: durable state.
-        library: transformations.
-        guards: limits and denials.
-        options: how the manager behaves.
-        run: calls the work that brings a nodelet back, by key; it may take long.
-        clock: steady time.
-        sleep: waits that many seconds, while a replacement comes up.
-        running: time for which this process has run, in seconds; by default ``clock``.
-        on_change: called after every change of nodelets or transformations.
-        on_event: called with every change of a claim, on the thread that made it.
+    The first arguments are those of a ``ManagerContext``. ``sleep`` waits so many seconds, while a
+    replacement comes up; ``running`` returns those for which this process has run, by default
+    those of the clock. ``on_change`` is called after every change of nodelets or transformations,
+    ``on_event`` with every change of a claim, on the thread that made it.
     """
     now = clock.now
     running = running or now
@@ -363,12 +353,3 @@ def open_reconciler(
     monitor = StreamMonitor(parts, table, lambda: connector.world(), running, options.recover)
     lock, manager = ClaimLock(), Manager(parts)
     return StreamReconciler(ClaimContext(manager, table, lock, connector, monitor, now, sleep))
-
-
-def _small_streams_first(claim: Claim) -> int:
-    """Sort a claim that uses another claim's stream behind that one.
-
-    A lost part that a client listens to is then replaced where that client listens, and its other
-    users follow, without a relay.
-    """
-    return len(claim.nodelets)
