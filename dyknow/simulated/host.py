@@ -74,10 +74,6 @@ class FakeProcess:
     nodelets: dict[str, FakeNodelet] = field(default_factory=dict)
 
 
-def _succeed(operation: str, argument: str) -> None:
-    """Let an operation succeed."""
-
-
 class FakeListening(Listening):
     """Counts the messages of one topic; ``FakeHost.flow`` sends them."""
 
@@ -108,9 +104,7 @@ class FakeHost(Host):
     ) -> None:
         """Make a host without a nodelet manager.
 
-        Args:
-            sources: ports of each nodelet type, as (name, direction, datatype).
-            clock: steady time, in seconds.
+        ``sources`` are the ports of each nodelet type, as (name, direction, datatype).
         """
         self.sources = {FORMULA_CLASS: (), **sources}
         self.clock = clock
@@ -159,7 +153,7 @@ class FakeHost(Host):
         self.followed: frozenset[str] = frozenset()
         self._heard: dict[str, HeardVerdict] = {}
         #: Called before each operation with its name and argument; may raise.
-        self.fail: Callable[[str, str], object] = _succeed
+        self.fail: Callable[[str, str], object] = lambda operation, argument: None
         #: Called after each change of nodelets and connections.
         self.on_change: Callable[[], None] = lambda: None
         #: Every operation, in order.
@@ -191,7 +185,7 @@ class FakeHost(Host):
 
     def recover(self) -> None:
         """Let no operation fail any more."""
-        self.fail = _succeed
+        self.fail = lambda operation, argument: None
 
     def kill(self, manager: str) -> None:
         """Kill a nodelet manager, and its nodelets with it, or a node."""
