@@ -189,8 +189,7 @@ class Manager:
     def connect(self, moves: Sequence[tuple[str, Mapping[str, str]]]) -> None:
         """Connect ports of nodelets in this order; the model shows it when this returns.
 
-        Args:
-            moves: names of nodelets, each with topics by port; an empty topic disconnects.
+        The moves are names of nodelets, each with topics by port; an empty topic disconnects.
 
         Raises:
             DyKnowError: one could not be connected, and those before it were moved back; the text

@@ -158,22 +158,10 @@ class Record:
     def body(self) -> str:
         """Return its stored form, as JSON."""
         body = {each.name: getattr(self, each.name) for each in fields(self)}
-        for name in (
-            "name",
-            "ports",
-            "awaited",
-            "outdated",
-            "owner",
-        ):  # the key, and observations of each life
-            del body[name]
-        is_needed = {
-            "heard": self.heard.ways,
-            "code": self.code,
-            "pinned": self.pinned,
-            "superseded": self.superseded,
-        }
-        for name, value in is_needed.items():
-            if not value:
+        for name in ("name", "ports", "awaited", "outdated", "owner"):
+            del body[name]  # the key, and observations of each life
+        for name in ("heard", "code", "pinned", "superseded"):
+            if body[name] == getattr(Record, name):  # the default
                 del body[name]  # earlier versions do not read it
         body["transformation"] = pack(self.transformation) if self.transformation else None
         body.update(topics=dict(self.topics), state=int(self.state), kind=self.kind.value)

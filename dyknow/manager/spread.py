@@ -70,16 +70,12 @@ class _Move(NamedTuple):
 
 
 class Spread:
-    """Looks at the loads; for one thread at a time.
+    """Looks at the loads of processes; for one thread at a time.
 
-    Args:
-        host: runs the processes.
-        graph: the nodelets in them.
-        move: moves a nodelet to a nodelet manager; may raise DyKnowError.
-        report: called with each move in words.
-        limit: cores that the nodelets of a process may take before one is moved.
-        most: nodelet managers for Python nodelets that may be there, of the manager's own.
-        now: time in s for which this process has run.
+    ``move`` moves a nodelet to a nodelet manager, and may raise DyKnowError; ``report`` is called
+    with each move in words. One is moved if the nodelets of a process take more than ``limit``
+    cores. There may be ``most`` nodelet managers of the manager's own for Python nodelets. ``now``
+    returns the seconds for which this process has run.
     """
 
     def __init__(

@@ -60,18 +60,11 @@ def carry_out(
     keep_going: bool = False,
     may_be_done: Callable[[DyKnowError], bool] = lambda error: not isinstance(error, Refused),
 ) -> list[tuple[ReversibleStep, DyKnowError]]:
-    """Do the steps in order.
+    """Do the steps in order; raises StepFailed when one fails.
 
-    Args:
-        steps: what to do.
-        keep_going: go on after a step that failed, and undo nothing.
-        may_be_done: whether a step that failed so may have been done, since no answer came.
-
-    Returns:
-        The steps that failed, and why; none unless `keep_going`.
-
-    Raises:
-        StepFailed: a step failed.
+    ``may_be_done`` says whether a step that failed so may have been done, since no answer came.
+    With ``keep_going`` it goes on after a step that failed, undoes nothing, and returns the steps
+    that failed, and why.
     """
     done: list[ReversibleStep] = []
     failed: list[tuple[ReversibleStep, DyKnowError]] = []
@@ -94,9 +87,7 @@ def carry_out(
 def take_back(done: Sequence[ReversibleStep], maybe: Sequence[ReversibleStep] = ()) -> list[str]:
     """Take steps back, the last first; return in words which could not be.
 
-    Args:
-        done: steps that were done.
-        maybe: the step that may have been done: if taking it back is refused, it was not.
+    Another step may have been done, ``maybe``: if taking it back is refused, it was not.
     """
     troubles = []
     for step in [*maybe, *reversed(done)]:

@@ -131,9 +131,7 @@ class Store:
     def read(self, table: str, meaning: Callable[[str, str], _Entry]) -> dict[str, _Entry]:
         """Read a table by key; entries without a meaning are moved to a file beside this one.
 
-        Args:
-            table: its name.
-            meaning: makes an entry of a key and a text.
+        ``meaning`` makes an entry of a key and a text.
         """
         found: dict[str, _Entry] = {}
         rejected: list[dict[str, str]] = []

@@ -14,7 +14,7 @@ transformation. So the transformation is accused instead.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Iterable
+from typing import Callable, Iterable, Union
 
 from dyknow import names
 from dyknow.locks import state_lock
@@ -25,6 +25,9 @@ from dyknow.manager.record import Record
 ENOUGH = 2
 #: Seconds after which an accusation that led to nothing is forgotten.
 MEMORY = 600.0
+
+_Accused = Union[int, str]
+"""The mark of a nodelet, or the label of the transformation of those of claims."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Suspects:
         """Start without accusations, with a steady clock in seconds."""
         self._clock = clock
         self._state_lock = state_lock("suspects")
-        self._accounts: dict[int, _Account] = {}
+        self._accounts: dict[_Accused, _Account] = {}
         #: Transformations of the nodelets of claims, those that are gone included, since crashes
         #: are reported late; names are used again, so there are not many.
         self._labels: dict[int, str] = {}
@@ -92,13 +95,7 @@ class Suspects:
     def acquit_transformation(self, label: str) -> None:
         """Forget the accusations of a transformation, which was replaced."""
         with self._state_lock:
-            self._accounts.pop(_mark_of_label(label), None)
+            self._accounts.pop(label, None)
 
-    def _accused(self, mark: int) -> int:
-        """Return the account of a nodelet: its own, or that of its transformation."""
-        label = self._labels.get(mark, "")
-        return _mark_of_label(label) if label else mark
-
-
-def _mark_of_label(label: str) -> int:
-    return names.mark(f"transformation {label}")  # which cannot be the name of a nodelet
+    def _accused(self, mark: int) -> _Accused:
+        return self._labels.get(mark) or mark

@@ -51,15 +51,11 @@ NO_WATCHDOG = WatchdogLimits()
 
 
 class Watchdog:
-    """Looks at the processes; for one thread at a time.
+    """Looks at the processes of a host; for one thread at a time.
 
-    Args:
-        host: runs the processes.
-        graph: the nodelets in them.
-        restart: restarts a process by name; may raise DyKnowError.
-        limits: when a process is restarted.
-        report: called with each restart in words.
-        now: time in s for which this process has run: a stopped process has received nothing.
+    ``restart`` restarts one by name, and may raise DyKnowError; ``report`` is called with each
+    restart in words. ``now`` returns the seconds for which this process has run: a stopped one has
+    received nothing.
     """
 
     def __init__(

@@ -164,7 +164,11 @@ class Transformation(NamedTuple):
         if self.type != FORMULA:
             _add_section(lines, "params", [_param_xml(p) for p in self.parameters])
         _add_section(lines, "ports", [_port_xml(p) for p in ports])
-        tags = [_tag_xml(port.name, tag) for port in ports for tag in port.tags]
+        tags = [
+            f"<tag port={_attribute(port.name)}>{_text(tag)}</tag>"
+            for port in ports
+            for tag in port.tags
+        ]
         _add_section(lines, "tags", tags)
         lines += [_requires_xml(each) for each in self.requires]
         lines.append("</transformation>\n")
@@ -227,10 +231,6 @@ def _number(value: float) -> str:
     """Write the shortest decimal that is read as the same number, without an exponent."""
     text = format(Decimal(repr(value)), "f")
     return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def _tag_xml(port: str, tag: str) -> str:
-    return f"<tag port={_attribute(port)}>{_text(tag)}</tag>"
 
 
 def _add_section(lines: List[str], name: str, items: List[str]) -> None:

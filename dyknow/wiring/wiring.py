@@ -60,11 +60,7 @@ class Wiring:
 def wiring_of(
     snapshot: Model, pinned: Mapping[str, str] = MappingProxyType({})
 ) -> tuple[Wiring, list[NodeletStatus]]:
-    """Take the wiring out of a model.
-
-    Args:
-        snapshot: the model.
-        pinned: hosts of the nodelets whose spawn named one, by nodelet.
+    """Take the wiring out of a model; ``pinned`` are the hosts that spawns named, by nodelet.
 
     Returns:
         The wiring, and the nodelets that it leaves out: those without a transformation.
@@ -159,13 +155,10 @@ def too_many_nodelets(limit: int) -> str:
 def read_wiring(
     data: bytes, file: str, limit: Callable[[], int] = lambda: NO_GUARDS.nodelets
 ) -> Wiring:
-    """Read a wiring.
+    """Read a wiring, XML in UTF-8 from the file that messages name.
 
-    Args:
-        data: The XML, in UTF-8.
-        file: The name to use in messages.
-        limit: Returns how many nodelets there may be. It is called for the first nodelet beyond
-            the default limit, and reading ends there if that is the limit.
+    ``limit`` returns how many nodelets there may be. It is called for the first nodelet beyond the
+    default limit, and reading ends there if that is the limit.
 
     Raises:
         SpecificationError: with every problem of the file.
