@@ -114,24 +114,18 @@ class HostTable:
             since, places = dict(self._since), dict(self._places)
         places.update((each.name, each.host) for each in states.values() if each.host)
         return tuple(
-            [
-                HostStatus(
-                    name,
-                    name == self._host.here,
-                    is_away,
-                    now - began,
-                    pause=self._absences.remaining(name),
-                    address=self._host.address_of(name),
-                    nodelets=tuple(
-                        [each.name for each in records if places.get(each.manager) == name]
-                    ),
-                    pinned=tuple(
-                        [each.name for each in records if each.pinned and each.pinned == name]
-                    ),
-                    **_facts([e for e in states.values() if places.get(e.name) == name]),
-                )
-                for name, (is_away, began) in sorted(since.items())
-            ]
+            HostStatus(
+                name,
+                name == self._host.here,
+                is_away,
+                now - began,
+                pause=self._absences.remaining(name),
+                address=self._host.address_of(name),
+                nodelets=tuple(e.name for e in records if places.get(e.manager) == name),
+                pinned=tuple(e.name for e in records if e.pinned and e.pinned == name),
+                **_facts([e for e in states.values() if places.get(e.name) == name]),
+            )
+            for name, (is_away, began) in sorted(since.items())
         )
 
 

@@ -212,12 +212,8 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
         return ()
     topics = record.topics
     return tuple(
-        [
-            PortState(
-                each.name, each.direction, each.datatype, topics.get(each.name, ""), each.tags
-            )
-            for each in record.transformation.ports
-        ]
+        PortState(each.name, each.direction, each.datatype, topics.get(each.name, ""), each.tags)
+        for each in record.transformation.ports
     )
 
 

@@ -142,16 +142,18 @@ class Limit(ABC):
     """A limit that claims may set for their streams.
 
     Attributes:
+        name: of the field of a request that sets it.
         concerns_all: whether a part that does not keep it is of no use to any claim.
         probation: windows for which a part has to keep it before it is trusted again.
     """
 
+    name: str
     concerns_all = False
     probation = 1
 
-    @abstractmethod
     def of(self, claim: Claim) -> float:
         """The limit of a claim; 0 for none."""
+        return float(getattr(claim.request, self.name))
 
     @abstractmethod
     def watch(self, limit: float) -> Watch:
@@ -167,13 +169,11 @@ class Limit(ABC):
 
 
 class Silence(Limit):
-    """``max_silence``, in seconds."""
+    """The longest silence, in seconds."""
 
+    name = "max_silence"
     concerns_all = True
     probation = 0
-
-    def of(self, claim: Claim) -> float:
-        return claim.request.max_silence
 
     def watch(self, limit: float) -> Watch:
         return Watch(max(limit / COUNTS, _LEAST_PERIOD), WINDOW)
@@ -221,10 +221,9 @@ class _Cause(NamedTuple):
 
 
 class Rate(Limit):
-    """``min_rate``, in Hz."""
+    """The lowest rate, in Hz."""
 
-    def of(self, claim: Claim) -> float:
-        return claim.request.min_rate
+    name = "min_rate"
 
     def watch(self, limit: float) -> Watch:
         return Watch(_PERIOD, max(WINDOW, _MESSAGES / limit))
@@ -319,14 +318,13 @@ class Rate(Limit):
 
 
 class Age(Limit):
-    """``max_age``, in seconds."""
+    """The highest age, in seconds."""
+
+    name = "max_age"
 
     def __init__(self, stated_latency: Callable[[Place], float]) -> None:
         """``stated_latency`` returns the seconds that a place states to add, 0 for none."""
         self._stated_latency = stated_latency
-
-    def of(self, claim: Claim) -> float:
-        return claim.request.max_age
 
     def watch(self, limit: float) -> Watch:
         return Watch(_PERIOD, WINDOW)

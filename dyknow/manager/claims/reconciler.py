@@ -275,7 +275,7 @@ class StreamReconciler:
             self._context.connector.remember()
             self._collector.disconnect()
             attempt("judging streams", partial(self._monitor.read, self._repair.hold()), _log)
-            self._repair.keep(self._table.living)
+            self._repair.forget_ended()
             # A lost part that a client listens to is replaced where that client listens. Claims
             # that use this claim's stream come behind it: they follow, without a relay.
             for claim in sorted(self._table.living, key=lambda each: len(each.nodelets)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any, Hashable, Iterable, Sequence
+from typing import Any, Hashable, Sequence
 
 from dyknow.backoff import Backoff
 from dyknow.errors import DyKnowError, StreamTypeMismatch
@@ -296,9 +296,9 @@ class Repair:
         """Seconds until the next attempt that has to wait may be made; infinite if none has to."""
         return min(self._failures.soonest, self._monitor.pause_ends)
 
-    def keep(self, claims: Iterable[Claim]) -> None:
-        """Forget all other claims."""
-        ids = {claim.claim_id for claim in claims}
+    def forget_ended(self) -> None:
+        """Forget the claims that have ended."""
+        ids = {claim.claim_id for claim in self._table.living}
         self._unplannable = {key: each for key, each in self._unplannable.items() if key in ids}
 
 

@@ -19,9 +19,8 @@ _TEXT = 60
 _NAMES = 20
 #: No suggestion is made among more known names: a program wrote them.
 _FEW = 100
-
+#: A problem in a template may come once for each of its expansions, at most this often.
 _MAX_REPETITIONS = 200_000
-"""A problem in a template may come once for each of its expansions, at most this often."""
 
 
 class EnoughProblems(Exception):
@@ -38,7 +37,6 @@ class Findings:
     def __init__(self, file: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> None:
         self.limits = limits
         self._file = file
-        self._max = limits.problems
         self._problems: dict[Problem, None] = {}
         self._warnings: dict[Problem, None] = {}
         self._rest: tuple[Problem, ...] = ()
@@ -56,15 +54,15 @@ class Findings:
             if self._repetitions > _MAX_REPETITIONS:
                 raise EnoughProblems
             return
-        if len(self._problems) >= self._max:
-            rest = f"there are more than {self._max} problems; the rest is not listed"
+        if len(self._problems) >= self.limits.problems:
+            rest = f"there are more than {self.limits.problems} problems; the rest is not listed"
             self._rest = (Problem(self._file, line, rest),)
             raise EnoughProblems
         self._problems[problem] = None
 
     def warning(self, line: int, message: str) -> None:
         """Note something doubtful that is accepted; dropped when the list is full."""
-        if len(self._warnings) < self._max:
+        if len(self._warnings) < self.limits.problems:
             self._warnings[Problem(self._file, line, message)] = None
 
     @property

@@ -59,7 +59,12 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
         _check_text(text)
         return text
     if type_ == "int":
-        return _parse_int(text)
+        if not _INT.match(text):
+            raise BadValue(f"expected an int, such as 42, found '{shorten(text)}'")
+        # A longer text is out of range without parsing.
+        integer = int(text) if len(text) <= 40 else 2**31
+        _check_int(integer, text)
+        return integer
     if type_ == "double":
         if not _DOUBLE.match(text.lower()):
             raise BadValue(f"expected a double, such as 0.5 or 1e-3, found '{shorten(text)}'")
@@ -113,15 +118,6 @@ def _replaced(value: Value, replace: Callable[[str], str]) -> Value:
     if isinstance(value, dict):
         return {replace(key): _replaced(each, replace) for key, each in value.items()}
     return replace(value) if isinstance(value, str) else value
-
-
-def _parse_int(text: str) -> int:
-    if not _INT.match(text):
-        raise BadValue(f"expected an int, such as 42, found '{shorten(text)}'")
-    # A longer text is out of range without parsing.
-    value = int(text) if len(text) <= 40 else 2**31
-    _check_int(value, text)
-    return value
 
 
 def _check_int(value: int, text: str) -> None:
