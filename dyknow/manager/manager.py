@@ -11,7 +11,7 @@ nodelets through the injected host only.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
@@ -27,25 +27,6 @@ from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
 from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest, State
 from dyknow.model.hosts import HostStatus
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
-
-
-@dataclass(frozen=True)
-class ManagerOptions:
-    """How the manager behaves.
-
-    Attributes:
-        namespace: where relative names resolve.
-        spawn_timeout: seconds that a nodelet may take to come up.
-        recover: seconds of TRUE verdicts after a FALSE one, until parts that require it are used.
-    """
-
-    namespace: str = "/"
-    spawn_timeout: float = 10.0
-    recover: float = 2.0
-
-
-DEFAULT_OPTIONS = ManagerOptions()
-"""Names begin at the root; a nodelet has 10 s to come up, a verdict 2 s to last."""
 
 
 class _Move(NamedTuple):

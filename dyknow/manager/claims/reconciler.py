@@ -37,7 +37,7 @@ from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import ManagerContext, StreamKeeper, at_once
-from dyknow.manager.manager import DEFAULT_OPTIONS, Manager, ManagerOptions
+from dyknow.manager.manager import Manager
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
@@ -312,20 +312,23 @@ def open_reconciler(
     store: Store,
     library: Library,
     guards: Guards = NO_GUARDS,
-    options: ManagerOptions = DEFAULT_OPTIONS,
     run: Callable[[str, Callable[[], object]], None] = at_once,
     clock: Clock = STEADY,
     sleep: Callable[[float], None] = time.sleep,
     running: Callable[[], float] | None = None,
     on_change: Callable[[], object] = lambda: None,
     on_event: Callable[[ClaimEvent], object] = lambda event: None,
+    namespace: str = "/",
+    spawn_timeout: float = 10.0,
+    recover: float = 2.0,
 ) -> StreamReconciler:
     """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
 
-    The first arguments are those of a ``ManagerContext``. ``sleep`` waits so many seconds, while a
+    Most arguments are those of a ``ManagerContext``. ``sleep`` waits so many seconds, while a
     replacement comes up; ``running`` returns those for which this process has run, by default
     those of the clock. ``on_change`` is called after every change of nodelets or transformations,
-    ``on_event`` with every change of a claim, on the thread that made it.
+    ``on_event`` with every change of a claim, on the thread that made it. A verdict has to be TRUE
+    for ``recover`` seconds after it was FALSE, until parts that require it are used.
     """
     now = clock.now
     running = running or now
@@ -337,19 +340,10 @@ def open_reconciler(
     )
     graph = Graph(store, clock, on_change)
     parts = ManagerContext(
-        host,
-        store,
-        library,
-        graph,
-        guards,
-        clock,
-        run,
-        keeper,
-        options.namespace,
-        options.spawn_timeout,
+        host, store, library, graph, guards, clock, run, keeper, namespace, spawn_timeout
     )
     table = ClaimTable(store, now, running, on_event)
     connector = Connector(parts, table)
-    monitor = StreamMonitor(parts, table, lambda: connector.world(), running, options.recover)
+    monitor = StreamMonitor(parts, table, lambda: connector.world(), running, recover)
     lock, manager = ClaimLock(), Manager(parts)
     return StreamReconciler(ClaimContext(manager, table, lock, connector, monitor, now, sleep))

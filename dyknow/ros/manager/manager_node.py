@@ -31,7 +31,6 @@ from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.library import Library
-from dyknow.manager.manager import ManagerOptions
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
 from dyknow.manager.spread import SPREAD_PERIOD, Spread
@@ -170,11 +169,13 @@ class ManagerNode(Closable):
             self._store,
             Library(self._store, self._files.ontology(), settings.limits, message_type),
             settings.guards,
-            ManagerOptions(names.parent(node), settings.spawn_timeout, settings.recover),
             loop.once,
             running=running,
             on_change=self._on_change,
             on_event=self._on_event,
+            namespace=names.parent(node),
+            spawn_timeout=settings.spawn_timeout,
+            recover=settings.recover,
         )
         self.manager = self._reconciler.manager
         self._messages = ModelMessages()
