@@ -114,7 +114,6 @@ class Claim:
 
     @functools.cached_property
     def demand(self) -> Demand:
-        """The demand of the client."""
         request = self.request
         tags = frozenset([parse_tag(request.tag)])
         return Demand(tags, self.wanted_type, request.min_rate, request.max_age)

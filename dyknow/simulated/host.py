@@ -339,7 +339,6 @@ class FakeHost(Host):
         next(p for p in self.processes.values() if name in p.nodelets).nodelets.pop(name)
 
     def nodelet(self, name: str) -> FakeNodelet:
-        """Return a running nodelet."""
         process = self._place_of(name)
         if process is None:
             raise HostError(f"nodelet '{name}' does not run")

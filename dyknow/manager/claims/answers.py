@@ -187,7 +187,6 @@ class StreamAnswers:
         self._clock = clock
 
     def status(self, claim: Claim) -> StreamStatus:
-        """Return the status of a claim."""
         return StreamStatus(
             claim.claim_id,
             claim.request.client_id,
@@ -213,7 +212,6 @@ class StreamAnswers:
         return StreamEvent(self._now(), before, self.status(event.after), event.reason)
 
     def acquisition(self, acquired: Acquired, warnings: Sequence[str]) -> Acquisition:
-        """Return the answer to a request for a stream."""
         claim, plan = acquired.claim, self.replanned(acquired)
         return Acquisition(
             claim.claim_id,

@@ -114,7 +114,6 @@ class Stream:
         return flows[place].ages(self._connected) if place in flows else []
 
     def note_good(self, limit: Limit, now: float) -> None:
-        """Note that it keeps a limit now."""
         since, _ = self._good.get(limit, (now, now))
         self._good[limit] = since, now
 

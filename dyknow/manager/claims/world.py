@@ -204,7 +204,6 @@ class World:
 
     @cached_property
     def relays(self) -> frozenset[str]:
-        """Nodelets that are relays."""
         return frozenset([key for key, each in self._ends.items() if each.is_relay])
 
     @property
@@ -272,7 +271,6 @@ class World:
         return found
 
     def consumers(self, topic: str) -> Sequence[Consumer]:
-        """Return the consumers of a topic."""
         return self._consumers.get(topic, ())
 
     def serves(self, producer: Producer, demand: Demand) -> bool:
@@ -637,7 +635,6 @@ def wires_of(claims: Iterable[Claim]) -> set[Wire]:
 
 
 def _client(claim: Claim) -> Ends:
-    """Return the client of a claim."""
     client = Consumer("", claim.claim_id, claim.demand, claim.claim_id)
     return Ends(claim.claim_id, consumers=((client, (claim.topic,)),))
 

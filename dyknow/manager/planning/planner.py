@@ -306,7 +306,6 @@ class _Writer:
         return found
 
     def step(self, instance: Instance, action: Operator, part: Action) -> PlanStep:
-        """Return the step of an instance."""
         if not action.inputs:
             return PlanStep(part, ())
         ports = action.in_ports
@@ -338,7 +337,6 @@ class _Writer:
 
 
 def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
-    """Write a plan."""
     graph, request = draft.graph, draft.graph.request
     writer = _Writer(draft)
     steps: list[PlanStep] = []

@@ -86,7 +86,6 @@ class Findings:
 
 
 def shorten(text: str) -> str:
-    """Shorten a text for a message."""
     return text if len(text) <= _TEXT else text[:_TEXT] + "…"
 
 

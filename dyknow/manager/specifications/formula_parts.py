@@ -160,7 +160,6 @@ class FormulaParts:
                 self._refuse(error)
 
     def _tags_of_individuals(self, formula: Formula, ins: dict[str, Port]) -> dict[str, str]:
-        """Return the tag of each port of individuals."""
         try:
             wanted = formula.ranges()
         except FormulaError as error:

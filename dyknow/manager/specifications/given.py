@@ -55,7 +55,6 @@ def _terms(transformation: Transformation) -> list[Term]:
 
 
 def variables(transformation: Transformation) -> set[str]:
-    """Return the variables in the tags of a transformation."""
     return {variable for term in _terms(transformation) for variable in term.variables}
 
 
@@ -66,7 +65,6 @@ def shares_variables(transformation: Transformation) -> bool:
 
 
 def filling_variables(transformation: Transformation) -> set[str]:
-    """Return the variables that fill parameters."""
     texts = [parameter.text for parameter in transformation.parameters]
     return {variable for text in texts for variable in variables_of(text)}
 

@@ -77,7 +77,6 @@ class Labels:
         self.dropped: dict[Label, list[str]] = defaultdict(list)
 
     def read(self, file: OntologyFile) -> None:
-        """Take the labels of a file."""
         for number, predicate in enumerate(_PROPERTIES):
             for entity, label in file.graph.subject_objects(predicate):
                 text = label.strip() if isinstance(label, rdflib.Literal) else ""

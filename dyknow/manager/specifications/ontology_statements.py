@@ -320,5 +320,4 @@ class OntologyStatements:
 
 
 def _inverse(name: str) -> str:
-    """Return the inverse of a property."""
     return name[1:] if name.startswith("^") else f"^{name}"

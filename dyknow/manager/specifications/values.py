@@ -112,7 +112,6 @@ def filled(
 
 
 def _replaced(value: Value, replace: Callable[[str], str]) -> Value:
-    """Replace all strings of a value."""
     if isinstance(value, list):
         return [_replaced(each, replace) for each in value]
     if isinstance(value, dict):
