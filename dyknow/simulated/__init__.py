@@ -21,7 +21,9 @@ from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
 from dyknow.manager.claims.reconciler import open_reconciler
+from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
 from dyknow.model.client import BaseManagerClient
@@ -112,16 +114,11 @@ class SimulatedManagerClient(BaseManagerClient):
         self._start = time.monotonic()
         store = Store(":memory:")
         self._loop = ControlLoop(clock=clock)
-        self.reconciler = open_reconciler(
-            self.host,
-            store,
-            Library(store),
-            run=self._loop.once,
-            clock=clock,
-            sleep=self._pass,
-            on_change=self._on_change,
-            on_event=self._tell_event,
+        graph = Graph(store, clock, self._on_change)
+        manager = ManagerContext(
+            self.host, store, Library(store), graph, clock=clock, run=self._loop.once
         )
+        self.reconciler = open_reconciler(manager, self._pass, on_event=self._tell_event)
         self.core = self.reconciler.manager
         self.core.start()
         self._loop.add("observe", self.core.look, 0.0)

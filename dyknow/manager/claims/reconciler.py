@@ -22,7 +22,6 @@ from functools import partial
 from typing import Callable, Collection, Hashable
 
 from dyknow.errors import NoPlanFound, StreamTypeMismatch
-from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.claim import Claim, ClaimEvent, check_request
 from dyknow.manager.claims.answers import CheaperPlans, refusal
 from dyknow.manager.claims.assembly import Acquired
@@ -33,17 +32,13 @@ from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.repair import Repair
 from dyknow.manager.claims.requirements import is_own
-from dyknow.manager.graph import Graph
-from dyknow.manager.host import Host
-from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext, StreamKeeper, at_once
+from dyknow.manager.lifecycle import ManagerContext, StreamKeeper
 from dyknow.manager.manager import Manager
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
-from dyknow.manager.store import Store
 from dyknow.model.streams import ClaimState, StreamRequest
-from dyknow.periodic import PAUSE, STEADY, Clock, attempt
+from dyknow.periodic import PAUSE, attempt
 
 #: Rounds in the ``max_silence`` of a claim.
 _ROUNDS = 4
@@ -67,7 +62,7 @@ class StreamReconciler:
         self._lock = context.lock
         self._monitor = context.monitor
         self._planner = ClaimPlanner(context)
-        self._cheaper_plans = CheaperPlans(self._table, self._planner, context.clock)
+        self._cheaper_plans = CheaperPlans(context, self._planner)
         self._collector = GarbageCollector(context)
         self._repair = Repair(context, self._planner, self._collector)
 
@@ -308,29 +303,20 @@ class StreamReconciler:
 
 
 def open_reconciler(
-    host: Host,
-    store: Store,
-    library: Library,
-    guards: Guards = NO_GUARDS,
-    run: Callable[[str, Callable[[], object]], None] = at_once,
-    clock: Clock = STEADY,
+    context: ManagerContext,
     sleep: Callable[[float], None] = time.sleep,
     running: Callable[[], float] | None = None,
-    on_change: Callable[[], object] = lambda: None,
     on_event: Callable[[ClaimEvent], object] = lambda event: None,
-    namespace: str = "/",
-    spawn_timeout: float = 10.0,
     recover: float = 2.0,
 ) -> StreamReconciler:
     """Make a manager, and the reconciler of its streams; ``manager.start`` comes first.
 
-    Most arguments are those of a ``ManagerContext``. ``sleep`` waits so many seconds, while a
-    replacement comes up; ``running`` returns those for which this process has run, by default
-    those of the clock. ``on_change`` is called after every change of nodelets or transformations,
-    ``on_event`` with every change of a claim, on the thread that made it. A verdict has to be TRUE
-    for ``recover`` seconds after it was FALSE, until parts that require it are used.
+    ``sleep`` waits so many seconds, while a replacement comes up; ``running`` returns those for
+    which this process has run, by default those of the clock. ``on_event`` is called with every
+    change of a claim, on the thread that made it. A verdict has to be TRUE for ``recover`` seconds
+    after it was FALSE, until parts that require it are used.
     """
-    now = clock.now
+    now = context.clock.now
     running = running or now
     keeper = StreamKeeper(
         lambda record: connector.world().fitting(record),
@@ -338,12 +324,9 @@ def open_reconciler(
         lambda label: monitor.failed(label),
         lambda label: monitor.forgive(label),
     )
-    graph = Graph(store, clock, on_change)
-    parts = ManagerContext(
-        host, store, library, graph, guards, clock, run, keeper, namespace, spawn_timeout
-    )
-    table = ClaimTable(store, now, running, on_event)
-    connector = Connector(parts, table)
-    monitor = StreamMonitor(parts, table, lambda: connector.world(), running, recover)
-    lock, manager = ClaimLock(), Manager(parts)
+    context = replace(context, keeper=keeper)
+    table = ClaimTable(context.store, now, running, on_event)
+    connector = Connector(context, table)
+    monitor = StreamMonitor(context, table, lambda: connector.world(), running, recover)
+    lock, manager = ClaimLock(), Manager(context)
     return StreamReconciler(ClaimContext(manager, table, lock, connector, monitor, now, sleep))

@@ -30,7 +30,9 @@ from dyknow.errors import BadParameter, PeerTimeout, StoreError
 from dyknow.manager.claim import ClaimEvent
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import open_reconciler
+from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
 from dyknow.manager.spread import SPREAD_PERIOD, Spread
@@ -164,18 +166,18 @@ class ManagerNode(Closable):
             lambda: loop.wake(_RECONCILE),
         )
         self._files = LibraryFiles(settings, self._store, PackageExports())
-        self._reconciler = open_reconciler(
+        manager = ManagerContext(
             self._host,
             self._store,
             Library(self._store, self._files.ontology(), settings.limits, message_type),
+            Graph(self._store, on_change=self._on_change),
             settings.guards,
-            loop.once,
-            running=running,
-            on_change=self._on_change,
-            on_event=self._on_event,
+            run=loop.once,
             namespace=names.parent(node),
             spawn_timeout=settings.spawn_timeout,
-            recover=settings.recover,
+        )
+        self._reconciler = open_reconciler(
+            manager, running=running, on_event=self._on_event, recover=settings.recover
         )
         self.manager = self._reconciler.manager
         self._messages = ModelMessages()

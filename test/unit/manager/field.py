@@ -16,7 +16,9 @@ from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.reconciler import open_reconciler
+from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
@@ -138,15 +140,12 @@ class Field:
     def open(self) -> None:
         """Start a manager on the content of the store."""
         self.store = Store(self.path)
-        library = Library(self.store, self.ontology)
+        library, graph = Library(self.store, self.ontology), Graph(self.store, self.clock)
         self.events: List[ClaimEvent] = []
         self.on_event: Callable[[ClaimEvent], None] = self.events.append
         self.reconciler = open_reconciler(
-            self.host,
-            self.store,
-            library,
-            clock=self.clock,
-            sleep=self.sleep,
+            ManagerContext(self.host, self.store, library, graph, clock=self.clock),
+            self.sleep,
             on_event=lambda event: self.on_event(event),
         )
         self.manager = self.reconciler.manager

@@ -21,7 +21,9 @@ from unit.manager.field import LIBRARY, SOURCES, Field
 
 from dyknow.errors import DyKnowError
 from dyknow.manager.claims.reconciler import open_reconciler
+from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
+from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
@@ -135,16 +137,10 @@ class Lives(Field):
         store = self.store = Store(self.path)
         mortal = cast(Store, Mortal(store, self.life, ON_DISK))
         host: Any = Mortal(self.host, self.life, ON_HOST)
-        library = Library(mortal, self.ontology)
+        library, graph = Library(mortal, self.ontology), Graph(mortal, self.clock)
         self.events = []
-        self.reconciler = open_reconciler(
-            host,
-            mortal,
-            library,
-            clock=self.clock,
-            sleep=self.sleep,
-            on_event=self.events.append,
-        )
+        context = ManagerContext(host, mortal, library, graph, clock=self.clock)
+        self.reconciler = open_reconciler(context, self.sleep, on_event=self.events.append)
         self.manager = self.reconciler.manager
         self.manager.start()
 
