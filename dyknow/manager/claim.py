@@ -48,18 +48,16 @@ def check_request(request: StreamRequest) -> None:
         if not 0 <= value <= most or value == infinity:
             raise BadParameter(name, value, expected)
     if request.require:
-        formula = parse(request.require)
+        formula, expected = parse(request.require), ""
         if [*formula.ports] != [STREAM]:
-            raise BadParameter(
-                "require", request.require, f"a formula that reads '{STREAM}' alone"
-            )
-        if formula.variables:
-            raise BadParameter(
-                "require",
-                request.require,
+            expected = f"a formula that reads '{STREAM}' alone"
+        elif formula.variables:
+            expected = (
                 f"a formula without 'every' and 'some': '{STREAM}' is one stream, and has no "
-                f"individuals {formula.variables[0]}",
+                f"individuals {formula.variables[0]}"
             )
+        if expected:
+            raise BadParameter("require", request.require, expected)
     both = sorted(set(request.prefer) & set(request.avoid))
     if both:
         raise BadParameter("avoid", both[0], "a name that is not in prefer as well")

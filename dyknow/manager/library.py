@@ -20,7 +20,7 @@ from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLi
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.manager.store import Store
-from dyknow.model.transformation import TOPIC, Transformation
+from dyknow.model.transformation import TOPIC, Transformation, Transformations
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Library:
             self.revision += _AHEAD
             store.write({("facts", "library_revision"): str(self.revision)})
         #: The transformations that require verdicts, by label; replaced as a whole by a change.
-        self.guarded: Mapping[str, Transformation] = _guarded(self._by_label)
+        self.guarded: Transformations = _guarded(self._by_label)
         self._known: tuple[list[Transformation], dict[str, Transformation]] = [], {}
         self._known_at = -1
         self._follow_schema()
@@ -96,7 +96,7 @@ class Library:
         """Return the transformations of type topic, by label: the same list until one changes."""
         return self._described()[0]
 
-    def nodes(self) -> Mapping[str, Transformation]:
+    def nodes(self) -> Transformations:
         """Return the descriptions of external nodes by name, sorted."""
         return self._described()[1]
 
@@ -171,7 +171,7 @@ class Library:
                 self._known, self._known_at = (topics, dict(sorted(nodes.items()))), self.revision
             return self._known
 
-    def _check_nodes(self, new: Mapping[str, Transformation], file_name: str) -> None:
+    def _check_nodes(self, new: Transformations, file_name: str) -> None:
         """Check that no node is described twice."""
         nodes = self.nodes()
         present = [(each, nodes.get(each.node)) for each in new.values() if each.node]
@@ -202,7 +202,7 @@ class Library:
         self._store.write({("facts", "schema"): str(_SCHEMA)})
 
 
-def _guarded(by_label: Mapping[str, Transformation]) -> dict[str, Transformation]:
+def _guarded(by_label: Transformations) -> dict[str, Transformation]:
     return {label: each for label, each in by_label.items() if each.requires}
 
 

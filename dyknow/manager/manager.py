@@ -95,9 +95,8 @@ class Manager:
 
     def resolve(self, name: str) -> str:
         """Make the name of a nodelet global."""
-        return names.resolve(
-            names.check(name, "nodelet name"), self._namespace, "/", "nodelet name"
-        )
+        what = "nodelet name"
+        return names.resolve(names.check(name, what), self._namespace, "/", what)
 
     def spawn(self, request: SpawnRequest) -> Record:
         """Make a nodelet, which runs and is connected when this returns; else nothing is left."""

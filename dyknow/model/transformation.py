@@ -10,7 +10,7 @@ import re
 import shlex
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Iterable, List, NamedTuple, Tuple
+from typing import Iterable, List, Mapping, NamedTuple, Tuple
 
 NODELET = "nodelet"
 NODE = "node"
@@ -173,6 +173,10 @@ class Transformation(NamedTuple):
         lines += [_requires_xml(each) for each in self.requires]
         lines.append("</transformation>\n")
         return "\n".join(lines)
+
+
+Transformations = Mapping[str, Transformation]
+"""Transformations by label."""
 
 
 @dataclass(frozen=True)

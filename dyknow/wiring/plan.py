@@ -14,7 +14,7 @@ from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
-from dyknow.model.transformation import TOPIC, Transformation
+from dyknow.model.transformation import TOPIC, Transformation, Transformations
 from dyknow.wiring.wiring import Wiring
 
 Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
@@ -288,9 +288,7 @@ def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
                 yield f"topic '{topic}': '{place}' has type {datatype}, '{other}' has {present}"
 
 
-def readers_first(
-    nodelets: list[SpawnRequest], blueprints: Mapping[str, Transformation]
-) -> list[SpawnRequest]:
+def readers_first(nodelets: list[SpawnRequest], blueprints: Transformations) -> list[SpawnRequest]:
     """Order nodelets so that a stream's readers are there before it begins, as far as possible."""
     ordered = sorted(nodelets, key=lambda nodelet: nodelet.name)
     reading: dict[str, list[SpawnRequest]] = {}
@@ -317,9 +315,7 @@ def readers_first(
     return list(done.values())
 
 
-def _topics(
-    nodelet: SpawnRequest, blueprints: Mapping[str, Transformation], direction: str
-) -> list[str]:
+def _topics(nodelet: SpawnRequest, blueprints: Transformations, direction: str) -> list[str]:
     connections = nodelet.config
     return [
         connections[port.name]

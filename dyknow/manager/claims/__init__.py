@@ -6,8 +6,9 @@
 * ``reconciler``: the requests of clients, and the rounds; ``answers`` words the replies.
 * ``claim_table``: the claims, in memory and on disk.
 * ``world``: what all parts read, an immutable value; ``ends`` reads one nodelet for it.
-* ``claim_planner``: plans in that world; ``own_nodelets`` chooses nodelets for steps of plans.
+* ``claim_planner``: plans in that world, and chooses nodelets for steps of plans.
 * ``assembly``: carries a plan out, through ``connector``.
 * ``repair`` and ``garbage_collector``: the two halves of a round.
-* ``monitors``: the health of streams, from the counts of ``flows`` and the verdicts of ``judges``.
+* ``judgements``: the health of streams, by the counts of ``flows``, the ``limits`` of claims and
+  the verdicts of ``requirements``.
 """

@@ -25,7 +25,7 @@ from dyknow.errors import (
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.claim_planner import ClaimPlanner
-from dyknow.manager.claims.claim_table import ClaimTable
+from dyknow.manager.claims.connector import ClaimContext
 from dyknow.manager.manager import Manager
 from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.problem import NoPlan
@@ -112,12 +112,10 @@ class _Comparison:
 class CheaperPlans:
     """Compares the costs of streams with those of plans of today."""
 
-    def __init__(
-        self, table: ClaimTable, planner: ClaimPlanner, clock: Callable[[], float]
-    ) -> None:
-        self._table = table
+    def __init__(self, context: ClaimContext, planner: ClaimPlanner) -> None:
+        self._table = context.table
         self._planner = planner
-        self._clock = clock
+        self._clock = context.clock
         self._compared: dict[str, _Comparison] = {}
 
     def report(self) -> None:

@@ -42,7 +42,7 @@ from dyknow.manager.record import Record
 from dyknow.manager.specifications.given import exposed_variables
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, read_tags
 from dyknow.model.graph import State
-from dyknow.model.transformation import OUT, VERDICT, Transformation
+from dyknow.model.transformation import OUT, VERDICT, Transformation, Transformations
 
 #: The demand for a header, beside or instead of a ROS type, for error messages.
 STAMPED = "a type that begins with a header (for max_age)"
@@ -97,7 +97,7 @@ class Situation(NamedTuple):
     wishes: Wishes
     upstream: Mapping[str, frozenset[str]]
     budget: float
-    known: Mapping[str, Transformation]
+    known: Transformations
     verdicts: Verdicts | None
     refused: frozenset[str] = NO_LABELS
 
@@ -127,8 +127,8 @@ class ClaimPlanner:
         self._clock = context.clock
         self._ontology = context.manager.library.ontology
         self._planner = Planner(self._ontology)
-        self._planned_with: Mapping[str, Transformation] = {}
-        self._transformations: Mapping[str, Transformation] = {}
+        self._planned_with: Transformations = {}
+        self._transformations: Transformations = {}
         self._transformations_at: tuple[int, frozenset[str]] = (-1, NO_LABELS)
         self._looked = float("-inf")
         #: Topics of ordinary nodes that had a publisher at the last look; before the first one
@@ -180,7 +180,7 @@ class ClaimPlanner:
         claim: Claim,
         lenient: bool = False,
         avoid: frozenset[str] = NO_LABELS,
-        without: AbstractSet[str] = frozenset(),
+        without: AbstractSet[str] = NO_LABELS,
     ) -> Proposal:
         """Plan a claim's stream; its own nodelets cost nothing.
 
@@ -390,7 +390,7 @@ class ClaimPlanner:
         self,
         claim: Claim,
         avoid: frozenset[str] = NO_LABELS,
-        without: AbstractSet[str] = frozenset(),
+        without: AbstractSet[str] = NO_LABELS,
     ) -> Situation:
         """Read all that a plan for a claim follows from."""
         claims, known = self._table.together(claim), self.transformations()
@@ -413,7 +413,7 @@ class ClaimPlanner:
             self._monitor.requirements.verdicts,
         )
 
-    def transformations(self) -> Mapping[str, Transformation]:
+    def transformations(self) -> Transformations:
         """Return the transformations for steps of plans by label; another mapping after changes.
 
         An external node is among them while it runs. The library may change at any time: what
@@ -431,8 +431,8 @@ class ClaimPlanner:
     def own(
         self,
         claim: Claim,
-        without: AbstractSet[str] = frozenset(),
-        known: Mapping[str, Transformation] | None = None,
+        without: AbstractSet[str] = NO_LABELS,
+        known: Transformations | None = None,
     ) -> list[OwnNodelet]:
         """Return healthy nodelets to connect elsewhere for a claim, the preferred ones first.
 
@@ -450,7 +450,7 @@ class ClaimPlanner:
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]
         unfit = self._monitor.unfit(self._table.together(claim)).keys() | without
-        kept_back = {
+        left_out = unfit | {
             name
             for each in sharing
             if not (_may_lend(each, claim) and self._monitor.unfit([each]).keys() <= unfit)
@@ -460,12 +460,7 @@ class ClaimPlanner:
         for name in reversed((*idle, *claim.nodelets)):
             record = world.records.get(name)
             users = [each for each in sharing if name in each.wiring]
-            if (
-                record is None
-                or name in unfit
-                or name in kept_back
-                or not _is_connectable(record, known)
-            ):
+            if record is None or name in left_out or not _is_connectable(record, known):
                 continue
             exposed = exposed_variables(known[record.label])
             ways = world.ways(name) if exposed else None
@@ -588,7 +583,7 @@ class ClaimPlanner:
         return second._replace(least_cost=min(second.least_cost, answer.least_cost))
 
     @contextlib.contextmanager
-    def _planning(self, known: Mapping[str, Transformation]) -> Iterator[tuple[Planner, bool]]:
+    def _planning(self, known: Transformations) -> Iterator[tuple[Planner, bool]]:
         """Let rounds pass while a request plans with transformations, and say whether they may."""
         ontology = self._manager.library.ontology
         if ontology is not self._ontology:
@@ -605,9 +600,7 @@ class ClaimPlanner:
 
     # Costs
 
-    def _priced(
-        self, plan: Plan, own: Sequence[OwnNodelet], known: Mapping[str, Transformation]
-    ) -> Plan:
+    def _priced(self, plan: Plan, own: Sequence[OwnNodelet], known: Transformations) -> Plan:
         """Return a plan in which nodelets that exist cost nothing, and new ones their price."""
         used = self.assigned(plan, own)
         steps = []
@@ -619,9 +612,7 @@ class ClaimPlanner:
         plan = plan._replace(steps=tuple(steps))
         return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
 
-    def _price(
-        self, claim: Claim, saved: Iterable[Transformation], known: Mapping[str, Transformation]
-    ) -> int:
+    def _price(self, claim: Claim, saved: Iterable[Transformation], known: Transformations) -> int:
         """Return the cost that ends with a claim's stream; ``saved`` parts serve nothing else."""
         price = sum(each.cost for each in saved)
         wishes = claim.wishes
@@ -636,7 +627,7 @@ class ClaimPlanner:
         return price + sum(charges.get(label, 0) for label in labels)
 
     def _saved(
-        self, claim: Claim, own: Iterable[OwnNodelet], known: Mapping[str, Transformation]
+        self, claim: Claim, own: Iterable[OwnNodelet], known: Transformations
     ) -> dict[str, Transformation]:
         """Those of its own that nothing would need if these clients needed no stream."""
         together = {each.claim_id for each in self._table.together(claim)}
@@ -665,7 +656,7 @@ class ClaimPlanner:
         return next((port.datatype for port in ports if port.name == goal.port), "")
 
 
-def _is_connectable(record: Record, transformations: Mapping[str, Transformation]) -> bool:
+def _is_connectable(record: Record, transformations: Transformations) -> bool:
     """Whether a nodelet runs, is one that plans may connect, and is as today's library says."""
     return (
         record.transformation is not None

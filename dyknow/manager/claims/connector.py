@@ -276,9 +276,8 @@ class Transaction:
 
         A claim whose stream is broken may need one that died and had the same name.
         """
-        active = [
-            each for each in self._connector.world().claims if each.state is ClaimState.ACTIVE
-        ]
+        claims = self._connector.world().claims
+        active = [each for each in claims if each.state is ClaimState.ACTIVE]
         kept = {name for claim in active for name in claim.wiring if name in self.spawned}
         for trouble in take_back([step for step in self._done if step.subject not in kept]):
             _log.warning("undoing a plan: %s", trouble)

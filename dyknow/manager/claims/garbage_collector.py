@@ -131,9 +131,8 @@ class GarbageCollector:
                 is_ours = record.claimed or (record.is_described and ours)
                 wires = self._replaced & {(record.name, port, topic) for port in ports}
                 if record.name not in ours and record.name not in self._lock.reserved:
-                    self._disconnect(
-                        record, ports if is_ours else [port for _, port, _ in sorted(wires)]
-                    )
+                    replaced = [port for _, port, _ in sorted(wires)]
+                    self._disconnect(record, ports if is_ours else replaced)
 
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""

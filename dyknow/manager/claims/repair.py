@@ -253,10 +253,8 @@ class Repair:
             is_made_now = claim.claim_id == self._context.lock.claim_id
             if not claim.bindings or claim.state is not ClaimState.ACTIVE or is_made_now:
                 continue
-            world, ontology = (
-                self._context.connector.world(),
-                self._context.manager.library.ontology,
-            )
+            world = self._context.connector.world()
+            ontology = self._context.manager.library.ontology
             for producer in world.producers(claim.topic):
                 found = ways_to_meet(producer.tags, producer.datatype, claim.demand, ontology)
                 ways = [tuple(sorted(way.items())) for way in found]

@@ -98,10 +98,8 @@ def read_tree(text: str) -> tuple[str, list[Entry]]:
         found = _LINE.match(line)
         if found is None:
             raise ValueError(f"not a line of a plan: '{line}'")
-        depth = len(found.group("lead")) // _INDENT - 1
-        entries.append(
-            Entry(depth, found.group("port") or "", found.group("what"), found.group("how"))
-        )
+        depth = len(found["lead"]) // _INDENT - 1
+        entries.append(Entry(depth, found["port"] or "", found["what"], found["how"]))
     return title, entries
 
 

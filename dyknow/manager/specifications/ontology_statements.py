@@ -144,11 +144,8 @@ class OntologyStatements:
                     members = self._list_members(head, seen)
                 except ValueError as error:
                     word = local_name(str(predicate))
-                    what = (
-                        f"<{node}>"
-                        if isinstance(node, rdflib.URIRef)
-                        else "a class without a name"
-                    )
+                    is_named = isinstance(node, rdflib.URIRef)
+                    what = f"<{node}>" if is_named else "a class without a name"
                     raise OntologyFileError(
                         self._files.home(node), f"the list of owl:{word} of {what}: {error}"
                     ) from error
