@@ -171,9 +171,9 @@ def demand_of(claims: Iterable[Claim]) -> Demand:
 
 @dataclass(frozen=True)
 class ClaimEvent:
-    """A claim changed."""
+    """A claim changed; before that there was none if it is new."""
 
-    before: Claim
+    before: Optional[Claim]
     after: Claim
     reason: str
 

@@ -109,7 +109,6 @@ class SimulatedManagerClient(BaseManagerClient):
         self.on_model: Callable[[Model], None] | None = None
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
-        self._claims: set[str] = set()
         self._altered: dict[str, dict[str, object]] = {}
         self._start = time.monotonic()
         store = Store(":memory:")
@@ -317,9 +316,7 @@ class SimulatedManagerClient(BaseManagerClient):
             self.on_model(self._show(self.core.graph_model()))
 
     def _tell_event(self, event: ClaimEvent) -> None:
-        is_new = event.after.claim_id not in self._claims
-        self._claims.add(event.after.claim_id)
-        self.on_event(self._answers.event(event, is_new))
+        self.on_event(self._answers.event(event))
 
     def _show(self, model: Model) -> Model:
         if not self._altered:

@@ -204,9 +204,8 @@ class StreamAnswers:
             return 0.0
         return self._now() + max(0.0, claim.deadline - self._clock())
 
-    def event(self, event: ClaimEvent, is_new: bool) -> StreamEvent:
-        """Return the event for a change; a new claim has no state before it."""
-        before = None if is_new else self.status(event.before)
+    def event(self, event: ClaimEvent) -> StreamEvent:
+        before = None if event.before is None else self.status(event.before)
         return StreamEvent(self._now(), before, self.status(event.after), event.reason)
 
     def acquisition(self, acquired: Acquired, warnings: Sequence[str]) -> Acquisition:

@@ -100,7 +100,7 @@ class ClaimTable:
         claim = replace(claim, deadline=self._clock() + lease if lease > 0 else None)
         with self._turn:
             self._write(claim)
-            self.events.add(ClaimEvent(replace(claim, state=ClaimState.PENDING), claim, reason))
+            self.events.add(ClaimEvent(None, claim, reason))
         self.events.deliver()
         return claim
 

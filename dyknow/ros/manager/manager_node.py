@@ -182,8 +182,7 @@ class ManagerNode(Closable):
         self.manager = self._reconciler.manager
         self._messages = ModelMessages()
         self._answers = StreamAnswers(rospy.get_time)
-        known = {claim.claim_id for claim in self._reconciler.claims()}
-        self._events = EventTopic(self._answers, known)
+        self._events = EventTopic(self._answers)
         self._fixed = FixedNodelets(self.manager)
         self._bonds = ClaimBonds(self._reconciler.claims, self._reconciler.expire, running)
         #: Whether another manager goes on in this name: then the end is not on purpose.

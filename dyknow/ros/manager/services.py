@@ -398,10 +398,8 @@ class EventTopic:
     It is withdrawn with the node, once the last event is sent.
     """
 
-    def __init__(self, answers: StreamAnswers, known: set[str]) -> None:
-        """Advertise the topic; the claims ``known`` are not new to clients."""
+    def __init__(self, answers: StreamAnswers) -> None:
         self._answers = answers
-        self._known = known
         self._publisher = rospy.Publisher(
             "~stream_events", msg.StreamEvent, queue_size=_QUEUE_SIZE
         )
@@ -409,10 +407,6 @@ class EventTopic:
     def publish(self, event: ClaimEvent) -> None:
         """Publish an event."""
         claim = event.after
-        is_new = claim.claim_id not in self._known
-        self._known.add(claim.claim_id)
-        if claim.state.ended:
-            self._known.discard(claim.claim_id)
         tag, state = claim.request.tag, claim.state.name
         rospy.loginfo("stream %s, %s: %s: %s", claim.claim_id, tag, state, event.reason)
-        self._publisher.publish(event_message(self._answers.event(event, is_new)))
+        self._publisher.publish(event_message(self._answers.event(event)))

@@ -243,6 +243,7 @@ class Field:
         for event in self.events:
             known = last.get(event.after.claim_id)
             if known is not None:
+                assert event.before is not None
                 assert replace(event.before, deadline=known.deadline) == known, event.reason
             last[event.after.claim_id] = event.after
         for claim in self.living():

@@ -297,8 +297,8 @@ def test_a_claim_is_shown_on_the_clock_of_its_clients() -> None:
 
 
 def test_an_event_of_a_new_claim_has_nothing_before() -> None:
-    event = ClaimEvent(CLAIM, CLAIM, "requested")
-    new, old = (answers().event(event, is_new) for is_new in (True, False))
+    events = [ClaimEvent(before, CLAIM, "requested") for before in (None, CLAIM)]
+    new, old = map(answers().event, events)
     assert new.before is None
     assert old.before == old.after == new.after
     assert (new.reason, new.stamp) == ("requested", 1000.0)
