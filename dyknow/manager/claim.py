@@ -65,36 +65,24 @@ def check_request(request: StreamRequest) -> None:
 
 @dataclass(frozen=True)
 class Claim:
-    """A stream that is kept for a client.
+    """A stream that is kept for a client."""
 
-    Attributes:
-        claim_id: unique, never used again.
-        request: the client's request.
-        topic: where the client listens; it stays when the publisher is replaced.
-        datatype: type of the stream.
-        state: whether messages flow.
-        detail: the reason for the state, for people.
-        goal: nodelet and out-port that publish; empty for a topic of ordinary nodes.
-        wiring: topics by port of each nodelet of the stream; while there is no stream, the
-            nodelets that are kept for it, disconnected.
-        sources: topics of ordinary nodes that the stream needs.
-        bindings: values of the tag's variables.
-        monitor: nodelet that evaluates the formula of the request; empty for none.
-        deadline: when the lease ends, on the reconciler's clock; None for never.
-    """
-
-    claim_id: str
-    request: StreamRequest
-    topic: str = ""
-    datatype: str = ""
-    state: ClaimState = ClaimState.PENDING
-    detail: str = ""
+    claim_id: str  # unique, never used again
+    request: StreamRequest  # the client's request
+    topic: str = ""  # where the client listens; it stays when the publisher is replaced
+    datatype: str = ""  # type of the stream
+    state: ClaimState = ClaimState.PENDING  # whether messages flow
+    detail: str = ""  # the reason for the state, for people
+    #: Nodelet and out-port that publish; empty for a topic of ordinary nodes.
     goal: Tuple[str, str] = ("", "")
+    #: Topics by port of each nodelet of the stream; while there is no stream, the nodelets that
+    #: are kept for it, disconnected.
     wiring: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    sources: Tuple[str, ...] = ()
+    sources: Tuple[str, ...] = ()  # topics of ordinary nodes that the stream needs
+    #: When the lease ends, on the reconciler's clock; None for never.
     deadline: Optional[float] = None
-    bindings: Bindings = ()
-    monitor: str = ""
+    bindings: Bindings = ()  # values of the tag's variables
+    monitor: str = ""  # nodelet that evaluates the formula of the request; empty for none
 
     @property
     def is_made(self) -> bool:
@@ -180,17 +168,12 @@ class ClaimEvent:
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment on two clocks.
+    """A moment on two clocks."""
 
-    Attributes:
-        steady: seconds on the steady clock, which all processes share until the machine restarts.
-        wall: seconds of the wall clock, which users can set.
-        boot: id of this run of the machine; empty if unknown.
-    """
-
+    #: Seconds on the steady clock, which all processes share until the machine restarts.
     steady: float
-    wall: float
-    boot: str
+    wall: float  # seconds of the wall clock, which users can set
+    boot: str  # id of this run of the machine; empty if unknown
 
     @classmethod
     def now(cls, steady: Callable[[], float]) -> Moment:

@@ -22,39 +22,25 @@ from dyknow.model.transformation import Parameter, Transformation
 
 @dataclass(frozen=True)
 class ProcessState:
-    """A nodelet manager, or a re-wirable node in a process of its own, which hosts itself alone.
+    """A nodelet manager, or a re-wirable node in its own process, which hosts itself alone."""
 
-    Attributes:
-        name: global node name.
-        kind: the kind of nodelets that it can host.
-        incarnation: differs after every restart of the process; empty when it is not running.
-        isolated_for: the only nodelet that it may host, empty for shared ones.
-        own: whether the host started it, and starts it again.
-        responsive: whether it answered the last request.
-        away: whether its machine does not answer, so that it may be running or not.
-        unseen: whether the first probe is not over; until then the earlier records hold.
-        rewirable: whether its nodelets have live ports; those of a stock C++ one do not.
-        host: its machine, as ROS names it; empty if unknown.
-        machine: the load of the machine, as it said last.
-        clock: how the clock of the machine differs from ours.
-        cure: advice for users if it does not answer.
-        foreign: whether another client started it, and this manager is not to use it: nothing is
-            loaded or unloaded there.
-    """
-
-    name: str
-    kind: NodeletKind = NodeletKind.PYTHON
+    name: str  # global node name
+    kind: NodeletKind = NodeletKind.PYTHON  # the kind of nodelets that it can host
+    #: Differs after every restart of the process; empty when it is not running.
     incarnation: str = ""
-    isolated_for: str = ""
-    own: bool = True
-    responsive: bool = True
-    away: bool = False
+    isolated_for: str = ""  # the only nodelet that it may host, empty for shared ones
+    own: bool = True  # whether the host started it, and starts it again
+    responsive: bool = True  # whether it answered the last request
+    away: bool = False  # whether its machine does not answer, so that it may be running or not
+    #: Whether the first probe is not over; until then the earlier records hold.
     unseen: bool = False
-    rewirable: bool = True
-    host: str = ""
-    machine: Machine = UNKNOWN_MACHINE
-    clock: ClockOffset = UNKNOWN_OFFSET
-    cure: str = ""
+    rewirable: bool = True  # whether its nodelets have live ports; those of a stock C++ one do not
+    host: str = ""  # its machine, as ROS names it; empty if unknown
+    machine: Machine = UNKNOWN_MACHINE  # the load of the machine, as it said last
+    clock: ClockOffset = UNKNOWN_OFFSET  # how the clock of the machine differs from ours
+    cure: str = ""  # advice for users if it does not answer
+    #: Whether another client started it, and this manager is not to use it: nothing is loaded or
+    #: unloaded there.
     foreign: bool = False
 
     @property
@@ -86,19 +72,12 @@ class Crash:
 
 @dataclass(frozen=True)
 class Reported:
-    """A process's report of a nodelet with live ports.
+    """A process's report of a nodelet with live ports."""
 
-    Attributes:
-        ports: in the order of their declaration, without tags.
-        detail: its problem; empty for none.
-        sequence: number of the last change of its process that this contains.
-        loader: node that had it loaded or, of a node, DyKnow manager that started it; empty if
-            unknown.
-    """
-
-    ports: tuple[PortState, ...] = ()
-    detail: str = ""
-    sequence: int = 0
+    ports: tuple[PortState, ...] = ()  # in the order of their declaration, without tags
+    detail: str = ""  # its problem; empty for none
+    sequence: int = 0  # number of the last change of its process that this contains
+    #: Node that had it loaded or, of a node, DyKnow manager that started it; empty if unknown.
     loader: str = ""
 
 
@@ -121,62 +100,38 @@ class HostReport:
 
 @dataclass(frozen=True)
 class LoadRequest:
-    """A nodelet to load, or a node to start.
+    """A nodelet to load, or a node to start."""
 
-    Attributes:
-        name: global name.
-        source: declared type, ``package/Class``, or the program of a script or node.
-        parameters: set in the nodelet's namespace before the load.
-        remappings: global names, source to target.
-        kind: kind of nodelet or node.
-    """
-
-    name: str
-    source: str
-    parameters: tuple[Parameter, ...] = ()
-    remappings: Mapping[str, str] = field(default_factory=dict)
-    kind: NodeletKind = NodeletKind.PYTHON
+    name: str  # global name
+    source: str  # declared type, ``package/Class``, or the program of a script or node
+    parameters: tuple[Parameter, ...] = ()  # set in the nodelet's namespace before the load
+    remappings: Mapping[str, str] = field(default_factory=dict)  # global names, source to target
+    kind: NodeletKind = NodeletKind.PYTHON  # kind of nodelet or node
 
 
 @dataclass(frozen=True)
 class Count:
-    """A count of messages that holds for some moment in an interval of steady time.
+    """A count of messages that holds for some moment in an interval of steady time."""
 
-    Attributes:
-        messages: their number since the port was made or the subscription began.
-        asked: beginning of the interval (s).
-        answered: end of the interval (s).
-        latched: whether the port keeps a message for later subscribers.
-        age: how old one of the messages since the last count was when it was sent (s, by its
-            stamp); arbitrary if there was none, None if unknown.
-    """
-
-    messages: int
-    asked: float
-    answered: float
-    latched: bool = False
+    messages: int  # their number since the port was made or the subscription began
+    asked: float  # beginning of the interval (s)
+    answered: float  # end of the interval (s)
+    latched: bool = False  # whether the port keeps a message for later subscribers
+    #: How old one of the messages since the last count was when it was sent (s, by its stamp);
+    #: arbitrary if there was none, None if unknown.
     age: float | None = None
 
 
 @dataclass(frozen=True)
 class HeardVerdict:
-    """The last verdict on a topic that is TRUE or FALSE.
+    """The last verdict on a topic that is TRUE or FALSE."""
 
-    Attributes:
-        is_true: whether the formula holds.
-        heard: when the first of the equal verdicts came, in steady time (s).
-        stamp: the time of their first state (s, ROS time).
-        why: the values that decided there.
-        was_false: whether any verdict on the topic was FALSE.
-        state: when the last of their states was, in steady time (s).
-    """
-
-    is_true: bool
-    heard: float
-    stamp: float
-    why: str = ""
-    was_false: bool = False
-    state: float = -math.inf
+    is_true: bool  # whether the formula holds
+    heard: float  # when the first of the equal verdicts came, in steady time (s)
+    stamp: float  # the time of their first state (s, ROS time)
+    why: str = ""  # the values that decided there
+    was_false: bool = False  # whether any verdict on the topic was FALSE
+    state: float = -math.inf  # when the last of their states was, in steady time (s)
 
     def after(self, known: HeardVerdict | None) -> HeardVerdict:
         """Return the last verdict after the known one: that goes on if they are equal."""
@@ -188,17 +143,11 @@ class HeardVerdict:
 
 @dataclass(frozen=True)
 class Usage:
-    """The time that a process has used until some moment.
+    """The time that a process has used until some moment."""
 
-    Attributes:
-        moment: by its own steady clock (s).
-        cpu: seconds of processor time.
-        busy: seconds in callbacks, by nodelet.
-    """
-
-    moment: float
-    cpu: float
-    busy: Mapping[str, float]
+    moment: float  # by its own steady clock (s)
+    cpu: float  # seconds of processor time
+    busy: Mapping[str, float]  # seconds in callbacks, by nodelet
 
 
 class Listening(ABC):

@@ -92,31 +92,19 @@ def at_once(key: str, work: Callable[[], object]) -> None:
 
 @dataclass(frozen=True)
 class ManagerContext:
-    """The context that the parts of a manager share.
+    """The context that the parts of a manager share."""
 
-    Attributes:
-        host: reaches the nodelet managers.
-        store: durable state.
-        library: transformations.
-        graph: the nodelets.
-        guards: limits and denials.
-        clock: steady time.
-        run: brings a nodelet back, by key; it may take long.
-        keeper: keeps streams.
-        namespace: where relative names begin.
-        spawn_timeout: seconds that a nodelet may take to come up.
-    """
-
-    host: Host
-    store: Store
-    library: Library
-    graph: Graph
-    guards: Guards = NO_GUARDS
-    clock: Clock = STEADY
+    host: Host  # reaches the nodelet managers
+    store: Store  # durable state
+    library: Library  # transformations
+    graph: Graph  # the nodelets
+    guards: Guards = NO_GUARDS  # limits and denials
+    clock: Clock = STEADY  # steady time
+    #: Brings a nodelet back, by key; it may take long.
     run: Callable[[str, Callable[[], object]], None] = at_once
-    keeper: StreamKeeper = NO_STREAMS
-    namespace: str = "/"
-    spawn_timeout: float = 10.0
+    keeper: StreamKeeper = NO_STREAMS  # keeps streams
+    namespace: str = "/"  # where relative names begin
+    spawn_timeout: float = 10.0  # seconds that a nodelet may take to come up
 
 
 class Lifecycle:

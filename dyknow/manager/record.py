@@ -41,60 +41,37 @@ UNSURE = "?"
 
 @dataclass(frozen=True)
 class Record:
-    """The desired and the last observed state of a nodelet.
+    """The desired and the last observed state of a nodelet."""
 
-    Attributes:
-        name: global name.
-        transformation: the blueprint of a spawned nodelet, even if the library has changed since;
-            the description of an external node; None for other external nodelets.
-        manager: nodelet manager that hosts it; a node hosts itself.
-        is_protected: whether it may not be destroyed.
-        isolated: whether it has a process of its own.
-        is_fixed: whether its ports stay on their topics: a C++ nodelet without live ports.
-        topics: desired connections, by port.
-        state: whether it runs.
-        detail: the reason for the state, for people.
-        ports: as last observed.
-        claimed: made for a claim, and collected when no claim needs it.
-        incarnation: of its process when it was loaded.
-        suspicion: why it was isolated; empty if it is not suspected of crashes.
-        unwanted: whether it has to be destroyed as soon as its nodelet manager answers.
-        superseded: whether it has to be unloaded as soon as that answers, and loaded again.
-        parameters: from the spawn, for life.
-        kind: kind of nodelet or node.
-        host: its machine, as ROS names it.
-        pinned: the machine that its spawn named, where it is for life; empty for any.
-        heard: values of its variables in its messages.
-        awaited: declared ports that it has not made yet, or not at present.
-        code: a text that differs when its files do, as they were when it was loaded; empty if
-            unknown.
-        outdated: why a restart would make it differently; empty if it would not.
-        owner: the node that had it loaded, or else its process; empty for a spawned nodelet.
-    """
-
-    name: str
+    name: str  # global name
+    #: The blueprint of a spawned nodelet, even if the library has changed since; the description
+    #: of an external node; None for other external nodelets.
     transformation: Optional[Transformation]
-    manager: str
-    is_protected: bool = False
-    isolated: bool = False
+    manager: str  # nodelet manager that hosts it; a node hosts itself
+    is_protected: bool = False  # whether it may not be destroyed
+    isolated: bool = False  # whether it has a process of its own
+    #: Whether its ports stay on their topics: a C++ nodelet without live ports.
     is_fixed: bool = False
-    topics: Mapping[str, str] = field(default_factory=dict)
-    state: State = State.STARTING
-    detail: str = ""
-    ports: Tuple[PortState, ...] = ()
-    claimed: bool = False
-    incarnation: str = ""
-    suspicion: str = ""
-    unwanted: bool = False
+    topics: Mapping[str, str] = field(default_factory=dict)  # desired connections, by port
+    state: State = State.STARTING  # whether it runs
+    detail: str = ""  # the reason for the state, for people
+    ports: Tuple[PortState, ...] = ()  # as last observed
+    claimed: bool = False  # made for a claim, and collected when no claim needs it
+    incarnation: str = ""  # of its process when it was loaded
+    suspicion: str = ""  # why it was isolated; empty if it is not suspected of crashes
+    unwanted: bool = False  # whether it has to be destroyed as soon as its nodelet manager answers
+    #: Whether it has to be unloaded as soon as that answers, and loaded again.
     superseded: bool = False
-    parameters: Tuple[Parameter, ...] = ()
-    kind: NodeletKind = NodeletKind.PYTHON
-    host: str = ""
-    pinned: str = ""
-    heard: Heard = NOTHING_HEARD
-    awaited: Tuple[str, ...] = ()
+    parameters: Tuple[Parameter, ...] = ()  # from the spawn, for life
+    kind: NodeletKind = NodeletKind.PYTHON  # kind of nodelet or node
+    host: str = ""  # its machine, as ROS names it
+    pinned: str = ""  # the machine that its spawn named, where it is for life; empty for any
+    heard: Heard = NOTHING_HEARD  # values of its variables in its messages
+    awaited: Tuple[str, ...] = ()  # declared ports that it has not made yet, or not at present
+    #: A text that differs when its files do, as they were when it was loaded; empty if unknown.
     code: str = ""
-    outdated: str = ""
+    outdated: str = ""  # why a restart would make it differently; empty if it would not
+    #: The node that had it loaded, or else its process; empty for a spawned nodelet.
     owner: str = ""
 
     @cached_property

@@ -38,16 +38,11 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class _Load:
-    """The load of a process, in cores.
+    """The load of a process, in cores."""
 
-    Attributes:
-        state: the process.
-        cpu: its processor time.
-        busy: time in callbacks, by nodelet; it includes waiting for the interpreter.
-    """
-
-    state: ProcessState
-    cpu: float
+    state: ProcessState  # the process
+    cpu: float  # its processor time
+    #: Time in callbacks, by nodelet; it includes waiting for the interpreter.
     busy: Mapping[str, float]
 
     @property

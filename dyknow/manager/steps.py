@@ -18,21 +18,14 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class ReversibleStep:
-    """Something to do, and how to take it back.
+    """Something to do, and how to take it back."""
 
-    Attributes:
-        what: it in words, for people.
-        subject: the nodelet or label that it is about.
-        do: does it; raises DyKnowError.
-        undo: takes it back; raises DyKnowError.
-        check: raises DyKnowError if another client has changed the same things since; for a
-            step that is taken back much later.
-    """
-
-    what: str
-    subject: str
-    do: Callable[[], object]
-    undo: Callable[[], object]
+    what: str  # it in words, for people
+    subject: str  # the nodelet or label that it is about
+    do: Callable[[], object]  # does it; raises DyKnowError
+    undo: Callable[[], object]  # takes it back; raises DyKnowError
+    #: Raises DyKnowError if another client has changed the same things since; for a step that is
+    #: taken back much later.
     check: Callable[[], object] = lambda: None
 
 

@@ -30,17 +30,11 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class WatchdogLimits:
-    """Limits of a process, beyond which it is restarted; 0: none.
+    """Limits of a process, beyond which it is restarted; 0: none."""
 
-    Attributes:
-        hung: seconds without an answer.
-        stuck: seconds for which a callback is reported that does not return.
-        memory: MB of resident memory.
-    """
-
-    hung: float = 0.0
-    stuck: float = 0.0
-    memory: float = 0.0
+    hung: float = 0.0  # seconds without an answer
+    stuck: float = 0.0  # seconds for which a callback is reported that does not return
+    memory: float = 0.0  # MB of resident memory
 
     def __bool__(self) -> bool:
         return (self.hung, self.stuck, self.memory) != (0.0, 0.0, 0.0)

@@ -42,22 +42,15 @@ from dyknow.model.transformation import (
 
 @dataclass
 class FakeNodelet:
-    """A nodelet in memory.
+    """A nodelet in memory."""
 
-    Attributes:
-        request: from its load.
-        ports: by name.
-        sent: messages by out-port.
-        latched: out-ports that keep a message for subscribers that connect later.
-        reconfigurations: how often its ports were connected elsewhere.
-        kept: ports that were connected before they show, whose topics are kept until then.
-    """
-
-    request: LoadRequest
-    ports: dict[str, PortState] = field(default_factory=dict)
-    sent: dict[str, int] = field(default_factory=dict)
+    request: LoadRequest  # from its load
+    ports: dict[str, PortState] = field(default_factory=dict)  # by name
+    sent: dict[str, int] = field(default_factory=dict)  # messages by out-port
+    #: Out-ports that keep a message for subscribers that connect later.
     latched: set[str] = field(default_factory=set)
-    reconfigurations: int = 0
+    reconfigurations: int = 0  # how often its ports were connected elsewhere
+    #: Ports that were connected before they show, whose topics are kept until then.
     kept: set[str] = field(default_factory=set)
 
     def topics(self, direction: str) -> list[str]:

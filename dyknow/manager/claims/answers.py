@@ -92,21 +92,13 @@ def _as_asked(supplied: Term, asked: Term) -> Term:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """The cheaper plans that were found for a claim's stream.
+    """The cheaper plans that were found for a claim's stream."""
 
-    Attributes:
-        nodelets: of the stream as it is.
-        offers: the offers at the last comparison.
-        way: the cheaper way, in words; empty if there is none.
-        since: when that was found first.
-        reported: ways that the client was informed of.
-    """
-
-    nodelets: tuple[str, ...]
-    offers: Hashable = None
-    way: str = ""
-    since: float = 0.0
-    reported: frozenset[str] = frozenset()
+    nodelets: tuple[str, ...]  # of the stream as it is
+    offers: Hashable = None  # the offers at the last comparison
+    way: str = ""  # the cheaper way, in words; empty if there is none
+    since: float = 0.0  # when that was found first
+    reported: frozenset[str] = frozenset()  # ways that the client was informed of
 
 
 class CheaperPlans:

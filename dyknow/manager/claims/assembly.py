@@ -48,21 +48,14 @@ _STEP = 0.02
 
 @dataclass(frozen=True)
 class Acquired:
-    """A stream, and the way in which it was made.
+    """A stream, and the way in which it was made."""
 
-    Attributes:
-        claim: the claim; without an id for a dry run.
-        plan: how the stream is made; None for a claim that existed before.
-        spawned: nodelets that were made; for a dry run, labels of those that would be.
-        reused: nodelets that are used as they are.
-        remarks: deviations from the plan, in words.
-    """
-
-    claim: Claim
-    plan: Plan | None
+    claim: Claim  # the claim; without an id for a dry run
+    plan: Plan | None  # how the stream is made; None for a claim that existed before
+    #: Nodelets that were made; for a dry run, labels of those that would be.
     spawned: tuple[str, ...] = ()
-    reused: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    reused: tuple[str, ...] = ()  # nodelets that are used as they are
+    remarks: tuple[str, ...] = ()  # deviations from the plan, in words
 
     @property
     def cost(self) -> int:
@@ -77,21 +70,13 @@ class Acquired:
 
 
 class _Supply(NamedTuple):
-    """A supplier of the plan as it is now, be it live or new.
+    """A supplier of the plan as it is now, be it live or new."""
 
-    Attributes:
-        source: its entry in the plan.
-        nodelet: its name; empty for a topic of ordinary nodes.
-        topic: where it sends.
-        tags: the tags of its messages, as far as they are certain.
-        datatype: ROS type of its messages.
-    """
-
-    source: Source
-    nodelet: str
-    topic: str
-    tags: tuple[Term, ...]
-    datatype: str
+    source: Source  # its entry in the plan
+    nodelet: str  # its name; empty for a topic of ordinary nodes
+    topic: str  # where it sends
+    tags: tuple[Term, ...]  # the tags of its messages, as far as they are certain
+    datatype: str  # ROS type of its messages
 
     @property
     def port(self) -> str:

@@ -51,55 +51,32 @@ _FRESH = 0.5
 
 
 class OwnNodelet(NamedTuple):
-    """A healthy nodelet that can be connected elsewhere for a claim.
+    """A healthy nodelet that can be connected elsewhere for a claim."""
 
-    Attributes:
-        name: its name.
-        label: its transformation.
-        kept: names that its variables have to stand for wherever it is connected.
-        present: names that they stand for now, as far as known.
-    """
-
-    name: str
-    label: str
-    kept: Bindings = ()
-    present: Bindings = ()
+    name: str  # its name
+    label: str  # its transformation
+    kept: Bindings = ()  # names that its variables have to stand for wherever it is connected
+    present: Bindings = ()  # names that they stand for now, as far as known
 
 
 class Situation(NamedTuple):
-    """All that a plan follows from, as it was at one moment.
-
-    Attributes:
-        demand: the demand on the stream.
-        topic: where the clients listen; empty for wherever the stream is.
-        streams: those that can be relied on.
-        usable: those of the streams that steps may receive.
-        own: nodelets that can be connected elsewhere.
-        exclude: labels that must have no part in it.
-        paused: labels of which nothing is to be made since they failed lately.
-        external: labels of external nodes, of which none is made.
-        wishes: preferences of the client.
-        upstream: labels upstream of each nodelet of the streams, where there are wishes.
-        budget: seconds that the improvement of the plan may take.
-        known: transformations by label.
-        verdicts: those that transformations require; None to disregard them.
-        refused: ROS types that the stream must not have.
-    """
+    """All that a plan follows from, as it was at one moment."""
 
     demand: Demand
-    topic: str
-    streams: tuple[TaggedStream, ...]
-    usable: tuple[TaggedStream, ...]
-    own: tuple[OwnNodelet, ...]
-    exclude: frozenset[str]
-    paused: frozenset[str]
-    external: frozenset[str]
+    topic: str  # where the clients listen; empty for wherever the stream is
+    streams: tuple[TaggedStream, ...]  # those that can be relied on
+    usable: tuple[TaggedStream, ...]  # those of the streams that steps may receive
+    own: tuple[OwnNodelet, ...]  # nodelets that can be connected elsewhere
+    exclude: frozenset[str]  # labels that must have no part in it
+    paused: frozenset[str]  # labels of which nothing is to be made since they failed lately
+    external: frozenset[str]  # labels of external nodes, of which none is made
     wishes: Wishes
+    #: Labels upstream of each nodelet of the streams, where there are wishes.
     upstream: Mapping[str, frozenset[str]]
-    budget: float
+    budget: float  # seconds that the improvement of the plan may take
     known: Transformations
-    verdicts: Verdicts | None
-    refused: frozenset[str] = NO_LABELS
+    verdicts: Verdicts | None  # those that transformations require; None to disregard them
+    refused: frozenset[str] = NO_LABELS  # ROS types that the stream must not have
 
     def tags(self, live: Live) -> frozenset[Term] | None:
         """Return the tags of a stream; None if it is not there."""

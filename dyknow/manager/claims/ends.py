@@ -147,39 +147,24 @@ def supplied(tags: Sequence[Term], ways: Iterable[Way]) -> tuple[Term, ...]:
 
 
 class Producer(NamedTuple):
-    """An out-port, or the ordinary nodes that publish on a topic.
+    """An out-port, or the ordinary nodes that publish on a topic."""
 
-    Attributes:
-        nodelet: its name; empty for ordinary nodes.
-        port: its out-port; empty for ordinary nodes.
-        tags: the tags of its messages.
-        datatype: ROS type of its messages.
-        is_unbound: whether it sends nothing, since a variable of its tags is bound to nothing.
-        key: of the ends that it belongs to.
-    """
-
-    nodelet: str
-    port: str
-    tags: tuple[Term, ...] = ()
-    datatype: str = ""
+    nodelet: str  # its name; empty for ordinary nodes
+    port: str  # its out-port; empty for ordinary nodes
+    tags: tuple[Term, ...] = ()  # the tags of its messages
+    datatype: str = ""  # ROS type of its messages
+    #: Whether it sends nothing, since a variable of its tags is bound to nothing.
     is_unbound: bool = False
-    key: str = ""
+    key: str = ""  # of the ends that it belongs to
 
 
 class Consumer(NamedTuple):
-    """A tagged in-port, or the client of a claim.
+    """A tagged in-port, or the client of a claim."""
 
-    Attributes:
-        nodelet: its name; empty for a client.
-        port: its in-port, or the id of the claim.
-        demand: the only messages that it may receive.
-        key: of the ends that it belongs to.
-    """
-
-    nodelet: str
-    port: str
-    demand: Demand
-    key: str
+    nodelet: str  # its name; empty for a client
+    port: str  # its in-port, or the id of the claim
+    demand: Demand  # the only messages that it may receive
+    key: str  # of the ends that it belongs to
 
     @property
     def variables(self) -> frozenset[str]:
@@ -201,27 +186,18 @@ class Ends(NamedTuple):
     A port is on each topic on which it may be: where it was seen last, where it should be, and
     where a connection without an answer may have put it. The tags are those that the nodelet was
     made with, even if the library has changed.
-
-    Attributes:
-        key: name of the nodelet, unless it is as it would be then; else a text that is no name.
-        producers: the out-ports.
-        consumers: the tagged in-ports.
-        is_relay: whether it forwards messages.
-        given: names that its variables stand for in any case.
-        listening: its in-ports with variables, and their topics.
-        heard: names that its variables stood for in the messages received there, in each way.
-        has_variables: whether its tags have variables, which its in-ports bind.
-        is_by_hand: whether it was not made for claims: people may have connected it to anything.
     """
 
-    key: str
-    producers: tuple[tuple[Producer, Where], ...] = ()
-    consumers: tuple[tuple[Consumer, Where], ...] = ()
-    is_relay: bool = False
-    given: Way = NO_BINDINGS
-    listening: tuple[tuple[str, Where], ...] = ()
+    key: str  # name of the nodelet, unless it is as it would be then; else a text that is no name
+    producers: tuple[tuple[Producer, Where], ...] = ()  # the out-ports
+    consumers: tuple[tuple[Consumer, Where], ...] = ()  # the tagged in-ports
+    is_relay: bool = False  # whether it forwards messages
+    given: Way = NO_BINDINGS  # names that its variables stand for in any case
+    listening: tuple[tuple[str, Where], ...] = ()  # its in-ports with variables, and their topics
+    #: Names that its variables stood for in the messages received there, in each way.
     heard: tuple[Way, ...] = ()
-    has_variables: bool = False
+    has_variables: bool = False  # whether its tags have variables, which its in-ports bind
+    #: Whether it was not made for claims: people may have connected it to anything.
     is_by_hand: bool = False
 
     @property

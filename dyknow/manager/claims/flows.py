@@ -86,22 +86,14 @@ class Span(NamedTuple):
 
 @dataclass
 class Flow:
-    """The messages of one place since its nodelet was loaded; moments are steady seconds.
+    """The messages of one place since its nodelet was loaded; moments are steady seconds."""
 
-    Attributes:
-        last: the latest count.
-        quiet_from: the last message had come by then.
-        quiet_until: no other had come until then.
-        came_after: a message that was noticed came after this moment.
-        is_sending: whether messages had come by the latest count.
-        counts: the latest counts without a gap, for rates.
-    """
-
-    last: Count
-    quiet_from: float
-    quiet_until: float
-    came_after: float = NEVER
-    is_sending: bool = False
+    last: Count  # the latest count
+    quiet_from: float  # the last message had come by then
+    quiet_until: float  # no other had come until then
+    came_after: float = NEVER  # a message that was noticed came after this moment
+    is_sending: bool = False  # whether messages had come by the latest count
+    #: The latest counts without a gap, for rates.
     counts: collections.deque[Count] = field(default_factory=collections.deque)
     _counting_since: float = 0.0
     #: Counts between each two of which messages came, for ages.
@@ -175,18 +167,12 @@ class Flow:
 
 @dataclass(frozen=True)
 class _Unanswered:
-    """Questions for the counts of a nodelet without an answer.
+    """Questions for the counts of a nodelet without an answer."""
 
-    Attributes:
-        places: those that were counted.
-        since: the first of these questions, in seconds for which this process has run.
-        latest: the time without an answer to the latest one.
-        is_listed: whether its process may run it; if not, the process has answered without it.
-    """
-
-    places: list[Place]
-    since: float
-    latest: float
+    places: list[Place]  # those that were counted
+    since: float  # the first of these questions, in seconds for which this process has run
+    latest: float  # the time without an answer to the latest one
+    #: Whether its process may run it; if not, the process has answered without it.
     is_listed: bool = True
 
     @property

@@ -124,31 +124,19 @@ class Stream:
 
 
 class Judgement(NamedTuple):
-    """The part that keeps a stream from a limit.
+    """The part that keeps a stream from a limit."""
 
-    Attributes:
-        place: the part.
-        needed: the limit that it would have to keep itself.
-        what: measured and demanded values, in words.
-    """
-
-    place: Place
-    needed: float
-    what: str
+    place: Place  # the part
+    needed: float  # the limit that it would have to keep itself
+    what: str  # measured and demanded values, in words
 
 
 class Limit(ABC):
-    """A limit that claims may set for their streams.
+    """A limit that claims may set for their streams."""
 
-    Attributes:
-        name: of the field of a request that sets it.
-        concerns_all: whether a part that does not keep it is of no use to any claim.
-        probation: windows for which a part has to keep it before it is trusted again.
-    """
-
-    name: str
-    concerns_all = False
-    probation = 1
+    name: str  # of the field of a request that sets it
+    concerns_all = False  # whether a part that does not keep it is of no use to any claim
+    probation = 1  # windows for which a part has to keep it before it is trusted again
 
     def of(self, claim: Claim) -> float:
         """The limit of a claim; 0 for none."""

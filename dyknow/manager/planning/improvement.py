@@ -337,22 +337,15 @@ class _Solver:
 
 
 class _Branch(NamedTuple):
-    """A part of the search: plans with some actions, but without others; sets are of bits.
+    """A part of the search: plans with some actions, but without others; sets are of bits."""
 
-    Attributes:
-        left: discrepancies that it may have.
-        opened: the nodes that its actions need and do not make.
-        made: the nodes that its actions make.
-        spent: the remaining costs of its actions.
-    """
-
-    left: int
+    left: int  # discrepancies that it may have
     has: int
     lacks: int
-    opened: int
-    made: int
+    opened: int  # the nodes that its actions need and do not make
+    made: int  # the nodes that its actions make
     paid: int
-    spent: int
+    spent: int  # the remaining costs of its actions
 
 
 def _set(numbers: Iterable[int]) -> int:

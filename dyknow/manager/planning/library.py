@@ -49,21 +49,15 @@ _Arguments = Tuple[Tuple[str, ...], Tuple[str, ...]]
 
 @dataclass(eq=False)
 class Head:
-    """A tagged out-port of an action, or a live stream; compared by identity.
-
-    Attributes:
-        cost: the action's cost, as a fact.
-        port: the out-port as it is written, or as it would be.
-        atoms: the tags that can supply something, with variables numbered as the action's.
-        live: the stream, if it exists.
-    """
+    """A tagged out-port of an action, or a live stream; compared by identity."""
 
     __slots__ = ("action", "atoms", "cost", "live", "port")
     action: Operator
-    cost: int
-    port: Port
+    cost: int  # the action's cost, as a fact
+    port: Port  # the out-port as it is written, or as it would be
+    #: The tags that can supply something, with variables numbered as the action's.
     atoms: tuple[Atom, ...]
-    live: Live | None
+    live: Live | None  # the stream, if it exists
 
     @property
     def label(self) -> str:
@@ -91,16 +85,6 @@ class Operator:
 
     Variables that occur in one in-port alone are the affair of its pattern. The action has those
     that several in-ports share, or that out-ports, parameters or required verdicts expose.
-
-    Attributes:
-        label: of the transformation, or the name of the live nodelet.
-        transformation: None for live streams.
-        inputs: the patterns of the tagged in-ports, in the order written.
-        variables: the names of its variables, with their types.
-        shares: for each in-port those of the variables that its pattern wants, in that order.
-        heads: the tagged out-ports.
-        has_private: whether a variable occurs in one in-port alone.
-        slow: the same action with inputs of any rate, if its inputs have to be fast.
     """
 
     __slots__ = (
@@ -115,16 +99,17 @@ class Operator:
         "types",
         "variables",
     )
-    label: str
+    label: str  # of the transformation, or the name of the live nodelet
     cost: int
-    transformation: Transformation | None
-    inputs: tuple[Pattern, ...]
-    variables: tuple[str, ...]
+    transformation: Transformation | None  # None for live streams
+    inputs: tuple[Pattern, ...]  # the patterns of the tagged in-ports, in the order written
+    variables: tuple[str, ...]  # the names of its variables, with their types
     types: tuple[Types, ...]
+    #: For each in-port those of the variables that its pattern wants, in that order.
     shares: tuple[tuple[int, ...], ...]
-    heads: tuple[Head, ...]
-    has_private: bool
-    slow: Operator | None
+    heads: tuple[Head, ...]  # the tagged out-ports
+    has_private: bool  # whether a variable occurs in one in-port alone
+    slow: Operator | None  # the same action with inputs of any rate, if its inputs have to be fast
 
     @property
     def base(self) -> Operator:
@@ -147,18 +132,13 @@ class Operator:
 
 
 class Offer(NamedTuple):
-    """How an action that needs something can supply a pattern.
-
-    Attributes:
-        head: the out-port.
-        types: the pattern's types for the action's variables, besides their own.
-        places: values of the pattern's wanted variables, by the variables of the action;
-            None if it is known only when these are bound.
-    """
+    """How an action that needs something can supply a pattern."""
 
     action: Operator
-    head: Head
-    types: tuple[Types, ...]
+    head: Head  # the out-port
+    types: tuple[Types, ...]  # the pattern's types for the action's variables, besides their own
+    #: Values of the pattern's wanted variables, by the variables of the action; None if it is
+    #: known only when these are bound.
     places: tuple[Argument, ...] | None
 
 

@@ -54,23 +54,15 @@ class Demand(NamedTuple):
 
 
 class Live(NamedTuple):
-    """A stream that exists: it costs nothing.
-
-    Attributes:
-        port: out-port that publishes it, empty for topics of ordinary nodes.
-        nodelet: its publisher, empty for topics of ordinary nodes.
-        label: the transformation behind it.
-        rate: Hz that its out-port states, or its feeders state; 0 if they state none.
-        latency: seconds that its nodelet and all that feeds it state.
-    """
+    """A stream that exists: it costs nothing."""
 
     topic: str
-    port: str
-    nodelet: str
-    label: str
+    port: str  # out-port that publishes it, empty for topics of ordinary nodes
+    nodelet: str  # its publisher, empty for topics of ordinary nodes
+    label: str  # the transformation behind it
     datatype: str
-    rate: float = 0.0
-    latency: float = 0.0
+    rate: float = 0.0  # Hz that its out-port states, or its feeders state; 0 if they state none
+    latency: float = 0.0  # seconds that its nodelet and all that feeds it state
 
 
 TaggedStream = Tuple[Live, Tuple[Term, ...]]
@@ -121,29 +113,20 @@ class PlanStep(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How to get a stream.
-
-    Attributes:
-        goal: where it comes from.
-        steps: the nodelets to make, suppliers before consumers.
-        cost: sum over the steps and the charges.
-        least_cost: no plan costs less; if it is the cost, that is proven least.
-        bindings: of the variables in the demand.
-        is_cut_short: whether the clock ended the improvement, so that the same problem may have
-            another plan at another time.
-        charges: of the running nodelets, and the topics, whose streams are used as they are.
-        latency: the stated latencies along the longest path, in s.
-    """
+    """How to get a stream."""
 
     demand: Demand
-    goal: Source
-    steps: tuple[PlanStep, ...]
-    cost: int
-    least_cost: int = 0
-    bindings: Bindings = ()
+    goal: Source  # where it comes from
+    steps: tuple[PlanStep, ...]  # the nodelets to make, suppliers before consumers
+    cost: int  # sum over the steps and the charges
+    least_cost: int = 0  # no plan costs less; if it is the cost, that is proven least
+    bindings: Bindings = ()  # of the variables in the demand
+    #: Whether the clock ended the improvement, so that the same problem may have another plan at
+    #: another time.
     is_cut_short: bool = False
+    #: Of the running nodelets, and the topics, whose streams are used as they are.
     charges: tuple[tuple[str, int], ...] = ()
-    latency: float = 0.0
+    latency: float = 0.0  # the stated latencies along the longest path, in s
 
     @property
     def total(self) -> int:
@@ -172,22 +155,15 @@ class Obstacle(NamedTuple):
 
 
 class NoPlan(NamedTuple):
-    """Why there is none.
-
-    Attributes:
-        missing: demands that nothing supplies, sorted by their text.
-        circular: whether nothing is missing, but everything that supplies it needs it first.
-        latency: of the soonest plan, in s, if all are too late; else 0.
-        obstacles: demands that would be met but for a type, a rate, or an exclusion.
-        is_cut_short: whether the search reached its limit, so that there may be a plan.
-    """
+    """Why there is none."""
 
     demand: Demand
-    missing: tuple[Demand, ...]
-    circular: bool
-    latency: float = 0.0
+    missing: tuple[Demand, ...]  # demands that nothing supplies, sorted by their text
+    circular: bool  # whether nothing is missing, but everything that supplies it needs it first
+    latency: float = 0.0  # of the soonest plan, in s, if all are too late; else 0
+    #: Demands that would be met but for a type, a rate, or an exclusion.
     obstacles: tuple[Obstacle, ...] = ()
-    is_cut_short: bool = False
+    is_cut_short: bool = False  # whether the search reached its limit, so that there may be a plan
 
     @property
     def reason(self) -> str:

@@ -29,19 +29,12 @@ _CAUSES = _EXCLUDED, _PAUSED, _VERDICT, _TYPE, _RATE, _DATATYPE = range(6)
 
 
 class _Open(NamedTuple):
-    """A demand that nothing meets.
+    """A demand that nothing meets."""
 
-    Attributes:
-        pattern: its pattern.
-        known: constraints on its names.
-        demand: it, as people write it.
-        rest: what cannot be written so, as sentences.
-    """
-
-    pattern: Pattern
-    known: Known
-    demand: Demand
-    rest: tuple[str, ...] = ()
+    pattern: Pattern  # its pattern
+    known: Known  # constraints on its names
+    demand: Demand  # it, as people write it
+    rest: tuple[str, ...] = ()  # what cannot be written so, as sentences
 
 
 def no_plan(search: Search) -> NoPlan:
@@ -187,17 +180,11 @@ def _causes(request: Request, demand: _Open) -> tuple[str, ...]:
 
 
 class _Alike(NamedTuple):
-    """An out-port that would supply a demand if less were demanded.
+    """An out-port that would supply a demand if less were demanded."""
 
-    Attributes:
-        head: the out-port.
-        lacking: the names in it that lack types.
-        failing: the causes that are in the way.
-    """
-
-    head: Head
-    lacking: dict[str, Types]
-    failing: set[int]
+    head: Head  # the out-port
+    lacking: dict[str, Types]  # the names in it that lack types
+    failing: set[int]  # the causes that are in the way
 
 
 def _alike(request: Request, demand: _Open) -> list[_Alike]:

@@ -55,16 +55,12 @@ _WORDS = (
 
 
 class _Relatives(NamedTuple):
-    """Each member of a class has a relative, by a property or its inverse, in another class.
-
-    Attributes:
-        is_exact: whether everything with such a relative is in the class.
-    """
+    """Each member of a class has a relative, by a property or its inverse, in another class."""
 
     key: str
     name: str
     filler: str
-    is_exact: bool
+    is_exact: bool  # whether everything with such a relative is in the class
 
 
 class OntologyStatements:
