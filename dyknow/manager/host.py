@@ -53,21 +53,16 @@ class Crash:
     """A process that ended by a fault of its own: a native crash, ``_exit``.
 
     A process that ended on request, or was killed, did not crash.
-
-    Attributes:
-        manager: its name.
-        cause: signal or exit code, for people.
-        running: marks (``names.mark``) of the nodelets whose code was running; None if unknown, as
-            in the stock nodelet manager.
-        unloading: marks of the nodelets that were being unloaded on request.
-        incarnation: the process that crashed.
     """
 
-    manager: str
-    cause: str
+    manager: str  # its name
+    cause: str  # signal or exit code, for people
+    #: Marks (``names.mark``) of the nodelets whose code was running; None if unknown, as in the
+    #: stock nodelet manager.
     running: frozenset[int] | None = None
+    #: Marks of the nodelets that were being unloaded on request.
     unloading: frozenset[int] = frozenset()
-    incarnation: str = ""
+    incarnation: str = ""  # the process that crashed
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,11 @@ class Heard(NamedTuple):
     """Values of a nodelet's variables in the messages that it has received.
 
     It may remember them, even if nothing sends there any more, until it is reconfigured.
-
-    Attributes:
-        topics: its in-ports with variables, and their topics.
-        ways: bindings of its variables, all that agree with its messages.
     """
 
+    #: Its in-ports with variables, and their topics.
     topics: Tuple[Tuple[str, Tuple[str, ...]], ...] = ()
-    ways: Tuple[Bindings, ...] = ()
+    ways: Tuple[Bindings, ...] = ()  # bindings of its variables, all that agree with its messages
 
 
 NOTHING_HEARD = Heard()

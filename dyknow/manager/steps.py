@@ -34,17 +34,13 @@ class CannotUndo(DyKnowError):
 
 
 class StepFailed(DyKnowError):
-    """A step failed, and those before it were taken back.
-
-    Attributes:
-        error: why it failed.
-        troubles: steps that could not be taken back, in words; empty if all is as it was.
-    """
+    """A step failed, and those before it were taken back."""
 
     def __init__(self, step: ReversibleStep, error: DyKnowError, troubles: list[str]) -> None:
         words = [f"{step.what}: {error}", *(troubles or ["everything is as it was"])]
         super().__init__("; ".join(words))
-        self.error = error
+        self.error = error  # why it failed
+        #: Steps that could not be taken back, in words; empty if all is as it was.
         self.troubles = tuple(troubles)
 
 

@@ -23,20 +23,15 @@ Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
 
 @dataclass(frozen=True)
 class Kept:
-    """A nodelet that runs already, as it is wanted and as it is.
+    """A nodelet that runs already, as it is wanted and as it is."""
 
-    Attributes:
-        wanted: the request in the file.
-        present: the running nodelet.
-        differences: how it was made otherwise than the library says now, in words: from an
-            earlier transformation, so that it cannot be made again as it was.
-        declared: ports of its transformation. Others of a C++ nodelet stay where they are, unless
-            the file connects them, and may not be there yet.
-    """
-
-    wanted: SpawnRequest
-    present: NodeletStatus
+    wanted: SpawnRequest  # the request in the file
+    present: NodeletStatus  # the running nodelet
+    #: How it was made otherwise than the library says now, in words: from an earlier
+    #: transformation, so that it cannot be made again as it was.
     differences: tuple[str, ...] = ()
+    #: Ports of its transformation. Others of a C++ nodelet stay where they are, unless the file
+    #: connects them, and may not be there yet.
     declared: frozenset[str] = frozenset()
 
     @property

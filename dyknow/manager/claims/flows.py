@@ -44,15 +44,11 @@ Place = Tuple[str, str]
 
 
 class Watch(NamedTuple):
-    """How a place is counted.
+    """How a place is counted."""
 
-    Attributes:
-        period: seconds between two counts.
-        window: seconds over which its rate is taken, at least; 0 if only its next message is
-            awaited, which it need not send without a subscriber.
-    """
-
-    period: float
+    period: float  # seconds between two counts
+    #: Seconds over which its rate is taken, at least; 0 if only its next message is awaited, which
+    #: it need not send without a subscriber.
     window: float = 0.0
 
     def merged(self, other: Watch | None) -> Watch:

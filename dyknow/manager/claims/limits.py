@@ -49,19 +49,14 @@ Flows = Mapping[Place, Flow]
 
 
 class Stream:
-    """The stream of a claim: its parts, and their messages since it was connected last.
-
-    Attributes:
-        claim: whose it is.
-        changed: when it was changed last, or made whole again.
-        topics: out-ports and ordinary topics, each with the topic on which it sends.
-        usual: the highest rate of each place while the stream was fast enough (Hz).
-    """
+    """The stream of a claim: its parts, and their messages since it was connected last."""
 
     def __init__(self, claim: Claim, now: float) -> None:
-        self.claim = claim
-        self.changed = now
+        self.claim = claim  # whose it is
+        self.changed = now  # when it was changed last, or made whole again
+        #: Out-ports and ordinary topics, each with the topic on which it sends.
         self.topics: dict[Place, str] = {}
+        #: The highest rate of each place while the stream was fast enough (Hz).
         self.usual: dict[Place, float] = {}
         self._connected = NEVER
         self._good: dict[Limit, tuple[float, float]] = {}

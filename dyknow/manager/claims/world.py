@@ -72,13 +72,7 @@ _CONFUSED = Inlet(Demand(frozenset((Term("nothing"),))), _UNKNOWN)
 
 
 class World:
-    """Nodelets, claims and descriptions of ordinary topics, at one moment.
-
-    Attributes:
-        records: the nodelets by name.
-        claims: those that have not ended.
-        described: transformations of type topic, by topic.
-    """
+    """Nodelets, claims and descriptions of ordinary topics, at one moment."""
 
     def __init__(
         self,
@@ -90,9 +84,9 @@ class World:
         ends: Mapping[str, Ends] = MappingProxyType({}),
     ) -> None:
         """``ends`` are those of nodelets and clients; ports may be on ``late`` topics, too."""
-        self.records = records
-        self.claims = claims
-        self.described = described
+        self.records = records  # the nodelets by name
+        self.claims = claims  # those that have not ended
+        self.described = described  # transformations of type topic, by topic
         self._ontology = ontology
         self._late = late
         self._ends = ends

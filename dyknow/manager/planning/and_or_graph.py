@@ -60,28 +60,20 @@ class Draft(NamedTuple):
 
 
 class AndOrGraph:
-    """A graph that grows until it is searched.
-
-    Attributes:
-        request: the problem.
-        patterns: the demand of each node; node 0 is the goal.
-        names: the names that the wanted variables of each node's pattern stand for.
-        actions: the action of each instance; None for very many actions that were not looked at.
-        thetas: the names of each instance's variables.
-        costs: of each instance.
-        needs: the nodes of each instance's in-ports, in the order written.
-        makes: the nodes that each instance can make.
-    """
+    """A graph that grows until it is searched."""
 
     def __init__(self, request: Request) -> None:
-        self.request = request
-        self.patterns: list[Pattern] = []
+        self.request = request  # the problem
+        self.patterns: list[Pattern] = []  # the demand of each node; node 0 is the goal
+        #: The names that the wanted variables of each node's pattern stand for.
         self.names: list[Theta] = []
+        #: The action of each instance; None for very many actions that were not looked at.
         self.actions: list[Operator | None] = []
-        self.thetas: list[Theta] = []
-        self.costs: list[int] = []
+        self.thetas: list[Theta] = []  # the names of each instance's variables
+        self.costs: list[int] = []  # of each instance
+        #: The nodes of each instance's in-ports, in the order written.
         self.needs: list[tuple[Node, ...]] = []
-        self.makes: list[Sequence[Node]] = []
+        self.makes: list[Sequence[Node]] = []  # the nodes that each instance can make
 
     def add_node(self, pattern: Pattern, names: Theta) -> Node:
         self.patterns.append(pattern)
@@ -266,18 +258,14 @@ class Reach(AndOrGraph):
     cheapest fact that supplies it is looked at. So the work is proportional to the part of the
     library that the goal reaches, for any individuals. The prices are lower bounds for the search,
     and exact if no variable is shared.
-
-    Attributes:
-        numbers: the node of each pattern that is reached.
-        size: how many actions that need something are reached.
-        is_simple: whether no names are to be bound.
     """
 
     def __init__(self, request: Request) -> None:
         """Collect it; that of a whole request also where a demand is met at no cost."""
         super().__init__(request)
-        self.size = 0
-        self.is_simple = not request.goal.wanted
+        self.size = 0  # how many actions that need something are reached
+        self.is_simple = not request.goal.wanted  # whether no names are to be bound
+        #: The node of each pattern that is reached.
         self.numbers = {request.goal: self.add_node(request.goal, ())}
         self._instances: dict[Operator, int] = {}
         #: Nodes that one instance alone can make, if no names are to be bound.

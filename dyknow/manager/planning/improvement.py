@@ -45,19 +45,14 @@ _EACH_RISE = 5_000_000
 
 
 class Budget:
-    """Counts steps, so that equal problems have equal plans; the clock is the last resort.
-
-    Attributes:
-        steps: those that are left.
-        is_cut_short: whether the clock, which begins with the first step of the improvement,
-            ended it.
-    """
+    """Counts steps, so that equal problems have equal plans; the clock is the last resort."""
 
     def __init__(self, seconds: float, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._seconds = seconds
         self._deadline: float | None = None
-        self.steps = int(seconds * STEPS)
+        self.steps = int(seconds * STEPS)  # those that are left
+        #: Whether the clock, which begins with the first step of the improvement, ended it.
         self.is_cut_short = False
 
     def spend(self, steps: int) -> bool:

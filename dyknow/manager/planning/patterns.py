@@ -30,19 +30,7 @@ NO_TYPES: Types = frozenset()
 
 
 class Pattern:
-    """The demand of an in-port or a client; a library has one of each, compared by identity.
-
-    Attributes:
-        atoms: the tags, all of which one stream has to have.
-        datatype: ROS type; empty for any.
-        types: for each variable, the concepts that have to subsume its name.
-        wanted: variables whose names matter to the consumer; of streams that differ only in
-            others, the cheapest will do.
-        is_plain: whether it has one atom, in which no variable occurs twice.
-        slow: the same pattern without a rate, if this one demands a rate.
-        refused: ROS types that do not do; of a request's own pattern alone.
-        uses: how many in-ports of the library have it; a request's own pattern has none.
-    """
+    """The demand of an in-port or a client; a library has one of each, compared by identity."""
 
     __slots__ = ("atoms", "datatype", "is_plain", "refused", "slow", "types", "uses", "wanted")
 
@@ -55,14 +43,17 @@ class Pattern:
         slow: Pattern | None = None,
         refused: AbstractSet[str] = NO_TYPES,
     ) -> None:
-        self.atoms = atoms
-        self.datatype = datatype
-        self.types = types
+        self.atoms = atoms  # the tags, all of which one stream has to have
+        self.datatype = datatype  # ROS type; empty for any
+        self.types = types  # for each variable, the concepts that have to subsume its name
+        #: Variables whose names matter to the consumer; of streams that differ only in others, the
+        #: cheapest will do.
         self.wanted = wanted
-        self.slow = slow
-        self.refused = refused
-        self.uses = 0
+        self.slow = slow  # the same pattern without a rate, if this one demands a rate
+        self.refused = refused  # ROS types that do not do; of a request's own pattern alone
+        self.uses = 0  # how many in-ports of the library have it; a request's own pattern has none
         variables = [arg for arg in atoms[0] if isinstance(arg, int)]
+        #: Whether it has one atom, in which no variable occurs twice.
         self.is_plain = len(atoms) == 1 and len({*variables}) == len(variables)
 
     @property

@@ -200,14 +200,10 @@ NO_WISHES = Wishes()
 
 
 class Verdicts(NamedTuple):
-    """The verdicts that transformations require, by their tags; those left out are not known.
+    """The verdicts that transformations require, by their tags; those left out are not known."""
 
-    Attributes:
-        good: tags of the verdicts that are TRUE.
-        bad: tags of those that are FALSE, or have not been TRUE for long enough since.
-    """
-
-    good: frozenset[Term] = frozenset()
+    good: frozenset[Term] = frozenset()  # tags of the verdicts that are TRUE
+    #: Tags of those that are FALSE, or have not been TRUE for long enough since.
     bad: frozenset[Term] = frozenset()
 
     def unmet(

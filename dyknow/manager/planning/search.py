@@ -36,39 +36,28 @@ _Supplier = Tuple[int, Any, Any]
 
 
 class Subgoal:
-    """A pattern of which some names are known.
-
-    Attributes:
-        above: least cost of a plan with it, besides its own.
-        is_bound: whether it has one node alone.
-        is_done: whether nothing more is to be found for it.
-        answers: the nodes that were supplied.
-        waiting: the joins that go on with each of them.
-        suppliers: its further possible suppliers, the cheapest first.
-    """
+    """A pattern of which some names are known."""
 
     def __init__(self, pattern: Pattern, known: Known, above: int) -> None:
         self.pattern = pattern
         self.known = known
-        self.above = above
+        self.above = above  # least cost of a plan with it, besides its own
+        #: Whether it has one node alone.
         self.is_bound = all(isinstance(each, str) for each in known)
-        self.is_done = False
-        self.answers: dict[Node, None] = {}
-        self.waiting: list[_Join] = []
+        self.is_done = False  # whether nothing more is to be found for it
+        self.answers: dict[Node, None] = {}  # the nodes that were supplied
+        self.waiting: list[_Join] = []  # the joins that go on with each of them
+        #: Its further possible suppliers, the cheapest first.
         self.suppliers: Iterator[_Supplier] = iter(())
 
 
 class _Use(NamedTuple):
-    """An action that is to supply a subgoal.
-
-    Attributes:
-        order: the in-ports in the order of the search.
-        rest: for each place of that order, the least cost of the in-ports from there on.
-    """
+    """An action that is to supply a subgoal."""
 
     subgoal: Subgoal
     offer: Offer
-    order: Sequence[int]
+    order: Sequence[int]  # the in-ports in the order of the search
+    #: For each place of that order, the least cost of the in-ports from there on.
     rest: Sequence[int]
 
 
@@ -95,16 +84,7 @@ def _ordered(shares: tuple[tuple[int, ...], ...], known: tuple[int, ...]) -> Seq
 
 
 class Search:
-    """Finds the cheapest tree, or everything that plans of less than some cost can have.
-
-    Attributes:
-        graph: the nodes and instances that were found; with their makers, if these are collected.
-        goal: the subgoal of the goal.
-        value: the cost of each node that was supplied.
-        way: its supplier at that cost.
-        is_complete: whether the search came to its end, and not to its limit.
-        reached: no plan with parts that were not found costs less.
-    """
+    """Finds the cheapest tree, or everything that plans of less than some cost can have."""
 
     def __init__(self, reach: Reach, below: int | None = None) -> None:
         """Start at the goal of a reach, whose nodes without a least cost cannot be supplied.
@@ -124,15 +104,16 @@ class Search:
         self._above_others = 0
         if below is not None:
             self._above, self._above_others = reach.above(below)
+        #: The nodes and instances that were found; with their makers, if these are collected.
         self.graph = AndOrGraph(request)
-        self.value: dict[Node, int] = {}
-        self.way: dict[Node, Instance] = {}
+        self.value: dict[Node, int] = {}  # the cost of each node that was supplied
+        self.way: dict[Node, Instance] = {}  # its supplier at that cost
         self._nodes: dict[tuple[Pattern, Theta], Node] = {}
         self._instances: dict[tuple[Operator, Theta], Instance] = {}
         self._subgoals: dict[tuple[Pattern, Known], Subgoal] = {}
         self._uses: dict[Pattern, list[_Supplier]] = {}
-        self.is_complete = True
-        self.reached = 0
+        self.is_complete = True  # whether the search came to its end, and not to its limit
+        self.reached = 0  # no plan with parts that were not found costs less
         self._best: dict[Node, int] = {}
         self._made: set[tuple[Instance, Node]] = set()
         self._heap: list[tuple[Any, ...]] = []
@@ -140,6 +121,7 @@ class Search:
         known = (None,) * len(request.goal.wanted)
         if not known:
             self._node(request.goal, ())
+        #: The subgoal of the goal.
         self.goal = self._ask(request.goal, known, self._least.get(request.goal, 0))
 
     def run(self, steps: int, is_all: bool = False) -> int:

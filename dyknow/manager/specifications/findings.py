@@ -28,14 +28,10 @@ class EnoughProblems(Exception):
 
 
 class Findings:
-    """The problems and warnings of one text, each once.
-
-    Attributes:
-        limits: the caps that the text has to hold.
-    """
+    """The problems and warnings of one text, each once."""
 
     def __init__(self, file: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> None:
-        self.limits = limits
+        self.limits = limits  # the caps that the text has to hold
         self._file = file
         self._problems: dict[Problem, None] = {}
         self._warnings: dict[Problem, None] = {}

@@ -62,13 +62,7 @@ class OntologyFile(NamedTuple):
 
 
 class OntologyFiles:
-    """The files of an ontology.
-
-    Attributes:
-        files: those that are named, then those that they import.
-        graph: a view of all their statements.
-        missing: imports that no file satisfies, with the paths of the importing files.
-    """
+    """The files of an ontology."""
 
     def __init__(
         self, paths: Iterable[str], catalogues: Iterable[str], limits: SpecificationLimits
@@ -82,7 +76,7 @@ class OntologyFiles:
         self._catalogues = tuple(catalogues)
         for path in self._catalogues:
             self._catalogue(path)
-        self.files: list[OntologyFile] = []
+        self.files: list[OntologyFile] = []  # those that are named, then those that they import
         self._paths: set[str] = set()
         self._known: set[str] = set()
         for path in paths:
@@ -90,8 +84,10 @@ class OntologyFiles:
         imports: list[tuple[str, str]] = []
         for file in self.files:  # it grows meanwhile
             imports += self._follow(file)
+        #: Imports that no file satisfies, with the paths of the importing files.
         self.missing = [each for each in imports if _plain(each[0]) not in self._known]
         graphs = [file.graph for file in self.files] or [rdflib.Graph()]
+        #: A view of all their statements.
         self.graph: rdflib.Graph = rdflib.graph.ReadOnlyGraphAggregate(graphs)
 
     def home(self, node: rdflib.term.Node) -> str:

@@ -57,10 +57,6 @@ class Labels:
     The term of an entity is its label in the preferred language, else the one without a language,
     else one in a variant of the preferred language (en-GB for en), else the English one, else the
     first by the code of its language. `rdfs:label` counts before `skos:prefLabel`.
-
-    Attributes:
-        language: the preferred language as it was given.
-        dropped: labels that do not count since other entities have them too, with the entities.
     """
 
     def __init__(self, language: str) -> None:
@@ -72,8 +68,9 @@ class Labels:
         parts = language.lower().split("-")
         self._preferred = ["-".join(parts[:end]) for end in range(len(parts), 0, -1)] + [""]
         self._variants = [parts[0], "en"]
-        self.language = language
+        self.language = language  # the preferred language as it was given
         self._by_entity: dict[str, list[Label]] = defaultdict(list)
+        #: Labels that do not count since other entities have them too, with the entities.
         self.dropped: dict[Label, list[str]] = defaultdict(list)
 
     def read(self, file: OntologyFile) -> None:
@@ -143,11 +140,6 @@ class Naming:
     An entity is named by its URI, its term and its other labels. Without a label it is named by
     the last part of its URI. A term goes before another label, and a label before such a part. Of
     equal ones terms are refused, and the others name neither entity.
-
-    Attributes:
-        refused: equal terms of two entities, in words.
-        unlabelled: the entities without a label.
-        ambiguous: the last parts of URIs that name nothing, with the entities concerned.
     """
 
     def __init__(
@@ -157,8 +149,8 @@ class Naming:
         self._labels = labels
         self._sorted = sorted(entities)
         labels.drop_shared(self._sorted, alike)
-        self.refused: list[str] = []
-        self.unlabelled: list[str] = []
+        self.refused: list[str] = []  # equal terms of two entities, in words
+        self.unlabelled: list[str] = []  # the entities without a label
         owners: dict[str, tuple[str, Label]] = {}
         further: list[tuple[str, str]] = []
         for entity in self._sorted:
@@ -177,6 +169,7 @@ class Naming:
                 self.unlabelled.append(entity)
         self._entities = {text: entity for text, (entity, _) in owners.items()}
         self._add(further)
+        #: The last parts of URIs that name nothing, with the entities concerned.
         self.ambiguous = self._add([(local_name(each), each) for each in self.unlabelled])
         self._entities.update(zip(self._sorted, self._sorted))
 

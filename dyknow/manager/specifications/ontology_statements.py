@@ -64,23 +64,19 @@ class _Relatives(NamedTuple):
 
 
 class OntologyStatements:
-    """The statements of an ontology's files.
-
-    Attributes:
-        hierarchy: the classes.
-        types: the classes of each individual, as stated; those of superclasses follow.
-    """
+    """The statements of an ontology's files."""
 
     def __init__(self, files: OntologyFiles, remarks: Remarks) -> None:
         """Read the statements, or raise OntologyFileError for a malformed list.
 
         The skipped ones are noted in ``remarks``.
         """
-        self.hierarchy = Hierarchy()
+        self.hierarchy = Hierarchy()  # the classes
         #: Properties and their inverses, which are `^` and the property.
         self._properties = Hierarchy()
         #: Superclasses of the subjects of a property, as stated.
         self._domains: dict[str, set[str]] = defaultdict(set)
+        #: The classes of each individual, as stated; those of superclasses follow.
         self.types: dict[str, set[str]] = defaultdict(set)
         self._files = files
         self._graph = files.graph

@@ -43,17 +43,13 @@ def written_bindings(bindings: Bindings) -> str:
 
 
 class Term(NamedTuple):
-    """A functor and its arguments.
+    """A functor and its arguments."""
 
-    Attributes:
-        functor: kind of the stream.
-        args: names; an argument that begins with ``?`` is a variable, without its type.
-        types: for each argument the concept that restricts it, or an empty text; nothing at all
-            if no argument has a type.
-    """
-
-    functor: str
+    functor: str  # kind of the stream
+    #: Names; an argument that begins with ``?`` is a variable, without its type.
     args: tuple[str, ...] = ()
+    #: For each argument the concept that restricts it, or an empty text; nothing at all if no
+    #: argument has a type.
     types: tuple[str, ...] = ()
 
     def __str__(self) -> str:

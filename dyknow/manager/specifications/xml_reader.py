@@ -51,21 +51,17 @@ NEEDED = Attribute(is_required=True)
 
 @dataclass
 class Element:
-    """The rule of an element, which holds text or elements.
-
-    Attributes:
-        unless: attribute of its parent, or other child, with which it is not required.
-        is_unit: whether the reader returns it by itself, instead of in its parent.
-    """
+    """The rule of an element, which holds text or elements."""
 
     name: str
     children: tuple[Element, ...] = ()
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
     holds_text: bool = False
     is_required: bool = False
+    #: Attribute of its parent, or other child, with which it is not required.
     unless: tuple[str, ...] = ()
     may_repeat: bool = False
-    is_unit: bool = False
+    is_unit: bool = False  # whether the reader returns it by itself, instead of in its parent
 
     def __post_init__(self) -> None:
         self.by_name = {child.name: child for child in self.children}
@@ -79,24 +75,19 @@ class Element:
 
 
 class XmlNode:
-    """An element as it was read; its line is that of its start tag.
-
-    Attributes:
-        attributes: those without problems.
-        is_good: whether its text and its attributes can be used; False if one is missing.
-        has_variables: of a unit, whether `${` is in one of its texts.
-    """
+    """An element as it was read; its line is that of its start tag."""
 
     __slots__ = ("attributes", "children", "has_variables", "is_good", "line", "name", "text")
 
     def __init__(self, name: str, line: int, attributes: dict[str, str]) -> None:
         self.name = name
         self.line = line
-        self.attributes = attributes
+        self.attributes = attributes  # those without problems
         self.text = ""
         self.children: list[XmlNode] = []
+        #: Whether its text and its attributes can be used; False if one is missing.
         self.is_good = True
-        self.has_variables = False
+        self.has_variables = False  # of a unit, whether `${` is in one of its texts
 
     def get(self, attribute: str, default: str = "") -> str:
         return self.attributes.get(attribute, default)
