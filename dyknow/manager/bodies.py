@@ -61,8 +61,7 @@ def unpack(body: str) -> Transformation:
 def read_fields(kind: Any, body: Mapping[str, Any]) -> dict[str, Any]:
     """Read fields of a dataclass from JSON, by their declared types.
 
-    Raises:
-        KeyError, TypeError, ValueError: one is unknown, or has another type.
+    Raises KeyError, TypeError or ValueError if one is unknown, or has another type.
     """
     hints = _hints(kind)
     return {name: read(hints[name], value) for name, value in body.items()}

@@ -94,16 +94,13 @@ class Graph:
     ) -> Iterator[Record | None]:
         """Reserve a name for one operation; yields its record, or None.
 
-        Args:
-            name: of the nodelet.
-            new: whether the name must be free.
-            patience: seconds to wait for another operation on it.
-            most: nodelets of ours that there may be with it, and with those that are being made.
+        It waits for another operation on it for so many seconds. There may be ``most`` nodelets of
+        ours with it, and with those that are being made.
 
         Raises:
-            Busy: another operation works on it.
-            NameTaken: it has to be ``new``, and is taken.
-            LimitExceeded: there are too many.
+        Busy: another operation works on it.
+        NameTaken: it has to be ``new``, and is taken.
+        LimitExceeded: there are too many.
         """
         with self._changed:
             deadline = self._clock.now() + patience
@@ -127,9 +124,7 @@ class Graph:
     def changing_present(self, name: str) -> Iterator[Record]:
         """Reserve a nodelet that is there, once it is if it is being made; yields its record.
 
-        Raises:
-            UnknownNodelet: there is none.
-            Busy: another operation works on it for long.
+        Raises UnknownNodelet, or Busy if another operation works on it for long.
         """
         patience = PATIENCE if name in self.records else _BEING_MADE
         with self.changing(name, patience=patience):

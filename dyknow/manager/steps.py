@@ -117,11 +117,7 @@ def destroy_own(request: SpawnRequest, client: BaseManagerClient) -> None:
 
 
 def check_own(found: NodeletStatus, request: SpawnRequest) -> None:
-    """Check that a nodelet is the one that was requested, and not protected since.
-
-    Raises:
-        CannotUndo: another client has made or protected it.
-    """
+    """Raise CannotUndo if another client has made a nodelet, or protected it since."""
     if found.transformation != request.label:
         raise CannotUndo(f"another client has made {found.name} from {found.transformation}")
     if found.is_protected and not request.is_protected:
@@ -129,11 +125,7 @@ def check_own(found: NodeletStatus, request: SpawnRequest) -> None:
 
 
 def check_connected(client: BaseManagerClient, nodelet: str, topics: Mapping[str, str]) -> None:
-    """Check that ports of a nodelet are connected so, as a change left them.
-
-    Raises:
-        CannotUndo: they are not.
-    """
+    """Raise CannotUndo unless ports of a nodelet are connected so, as a change left them."""
     try:
         present = {port.name: port.topic for port in client.get_config(nodelet)}
     except DyKnowError as error:

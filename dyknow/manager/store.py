@@ -371,14 +371,11 @@ def _open(path: str, patience: float) -> tuple[sqlite3.Connection, Rows]:
     """Open a file that is sound and can be written; its tables are made if they are not there.
 
     Only its owner may read or write a file that is made. One of an earlier format is converted.
-
-    Args:
-        path: the file.
-        patience: seconds to wait for another program's lock.
+    Another program's lock is awaited for so many seconds.
 
     Raises:
-        sqlite3.Error: the file cannot be used now.
-        _Damaged: the contents differ from the last write.
+    sqlite3.Error: the file cannot be used now.
+    _Damaged: the contents differ from the last write.
     """
     _make_private(path)
     connection = sqlite3.connect(

@@ -15,18 +15,12 @@ AT = "@"
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine of a process, as the process stated last; the fields are those of the message.
+    """The machine of a process, as that stated last; the fields are those of the message."""
 
-    Attributes:
-        cores: processors; 0 if unknown.
-        load: processes that ran or wanted to in the last minute, for each processor; NaN if
-            unknown.
-        memory: share of the memory that is in use; NaN if unknown.
-    """
-
-    cores: int = 0
+    cores: int = 0  # processors; 0 if unknown
+    #: Processes that ran or wanted to in the last minute, for each processor; NaN if unknown.
     load: float = math.nan
-    memory: float = math.nan
+    memory: float = math.nan  # share of the memory that is in use; NaN if unknown
 
     @property
     def is_overloaded(self) -> bool:
@@ -36,15 +30,10 @@ class Machine:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How another clock differs from ours.
+    """How another clock differs from ours."""
 
-    Attributes:
-        offset: seconds by which it is ahead; NaN if unknown.
-        error: seconds by which that may be wrong, up or down; NaN if unknown.
-    """
-
-    offset: float = math.nan
-    error: float = math.nan
+    offset: float = math.nan  # seconds by which it is ahead; NaN if unknown
+    error: float = math.nan  # seconds by which that may be wrong, up or down; NaN if unknown
 
     def exceeds(self, limit: float) -> bool:
         """Whether the clocks certainly differ by more than a limit (s)."""
@@ -60,38 +49,24 @@ class HostStatus:
     """A host on which processes run that a manager knows.
 
     The fields are those of ``dyknow_msgs/HostStatus``; NaN where a number is unknown.
-
-    Attributes:
-        name: as ROS names it.
-        is_own: whether the manager runs there.
-        is_away: whether none of its processes answers.
-        lasts: seconds for which it has been away, or not.
-        managers: names of the nodelet managers there that run, as far as known.
-        nodelets: names of the nodelets and nodes there, lost ones included.
-        pinned: names of the nodelets whose spawn named the host.
-        cores: processors; 0 if unknown.
-        load: processes that ran or wanted to in the last minute, for each processor.
-        memory: share of the memory that is in use.
-        offset: seconds by which its clock is ahead of the manager's.
-        error: seconds by which the offset may be wrong, up or down.
-        pause: seconds for which it is not chosen for new nodelets if there is another host.
-        address: its IP address; empty if unknown.
     """
 
-    name: str
-    is_own: bool = False
-    is_away: bool = False
-    lasts: float = 0.0
-    managers: Tuple[str, ...] = ()
-    nodelets: Tuple[str, ...] = ()
-    pinned: Tuple[str, ...] = ()
-    cores: int = 0
+    name: str  # as ROS names it
+    is_own: bool = False  # whether the manager runs there
+    is_away: bool = False  # whether none of its processes answers
+    lasts: float = 0.0  # seconds for which it has been away, or not
+    managers: Tuple[str, ...] = ()  # names of the nodelet managers there that run, as far as known
+    nodelets: Tuple[str, ...] = ()  # names of the nodelets and nodes there, lost ones included
+    pinned: Tuple[str, ...] = ()  # names of the nodelets whose spawn named the host
+    cores: int = 0  # processors; 0 if unknown
+    #: Processes that ran or wanted to in the last minute, for each processor.
     load: float = math.nan
-    memory: float = math.nan
-    offset: float = math.nan
-    error: float = math.nan
+    memory: float = math.nan  # share of the memory that is in use
+    offset: float = math.nan  # seconds by which its clock is ahead of the manager's
+    error: float = math.nan  # seconds by which the offset may be wrong, up or down
+    #: Seconds for which it is not chosen for new nodelets if there is another host.
     pause: float = 0.0
-    address: str = ""
+    address: str = ""  # its IP address; empty if unknown
 
     @property
     def clock(self) -> ClockOffset:

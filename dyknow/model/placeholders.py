@@ -29,8 +29,7 @@ Pieces = Tuple[Union[str, Placeholder], ...]
 def cut(text: str) -> Pieces:
     """Cut a text at its placeholders; the pieces between them are plain.
 
-    Raises:
-        ValueError: a placeholder does not end.
+    Raises ValueError if a placeholder does not end.
     """
     pieces: List[Union[str, Placeholder]] = []
     plain, start = "", 0
@@ -69,11 +68,7 @@ def variables_of(text: str) -> Tuple[str, ...]:
 
 
 def fill(text: str, names: Mapping[str, str]) -> str:
-    """Put names for the placeholders of a text; the result is plain.
-
-    Raises:
-        KeyError: a variable has no name.
-    """
+    """Put names for the placeholders of a text; KeyError if a variable has none."""
     if "${?" not in text:
         return text
     return "".join(

@@ -280,8 +280,7 @@ class FakeHost(Host):
     def flow(self) -> set[str]:
         """Send a message on each topic that is published; nodelets with input pass it on.
 
-        Returns:
-            The topics on which a message was sent.
+        Returns the topics on which a message was sent.
         """
         moving = {each for each in self.topics - self.silent if self._sends(each)}
         self._ages.update((each, self._aged([], each)) for each in moving)

@@ -62,11 +62,8 @@ def wiring_of(
 ) -> tuple[Wiring, list[NodeletStatus]]:
     """Take the wiring out of a model; ``pinned`` are the hosts that spawns named, by nodelet.
 
-    Returns:
-        The wiring, and the nodelets that it leaves out: those without a transformation.
-
-    Raises:
-        CannotSave: a transformation is gone that a nodelet was made from.
+    Returns it, and the nodelets that it leaves out: those without a transformation. Raises
+    CannotSave if a transformation is gone that a nodelet was made from.
     """
     known = {each.label: each for each in snapshot.transformations}
     own = [nodelet for nodelet in snapshot.nodelets if nodelet.transformation]
@@ -155,13 +152,10 @@ def too_many_nodelets(limit: int) -> str:
 def read_wiring(
     data: bytes, file: str, limit: Callable[[], int] = lambda: NO_GUARDS.nodelets
 ) -> Wiring:
-    """Read a wiring, XML in UTF-8 from the file that messages name.
+    """Read a wiring, XML in UTF-8, or raise SpecificationError with every problem of the file.
 
     ``limit`` returns how many nodelets there may be. It is called for the first nodelet beyond the
     default limit, and reading ends there if that is the limit.
-
-    Raises:
-        SpecificationError: with every problem of the file.
     """
     findings = Findings(file)
     nodelets = _NodeletReader(findings, limit)

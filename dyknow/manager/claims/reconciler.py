@@ -239,10 +239,8 @@ class StreamReconciler:
     def work(self) -> float | None:
         """Reconcile while there are claims, or nodelets of claims.
 
-        One more round follows the end of the last claim, and releases its nodelets.
-
-        Returns:
-            Seconds until the next round; None for the next change.
+        One more round follows the end of the last claim, and releases its nodelets. Returns the
+        seconds until the next round; None for the next change.
         """
         had_work, self._had_work = self._had_work, self._has_work()
         if had_work or self._had_work:

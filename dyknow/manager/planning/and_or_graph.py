@@ -325,10 +325,9 @@ class Reach(AndOrGraph):
         return sum(found.values())
 
     def above(self, below: int) -> tuple[dict[Pattern, int], int]:
-        """Return the least cost of a plan besides each demand, if it costs less than a bound.
+        """Return the least cost of a plan below a bound, besides each demand.
 
-        Returns:
-            That, and its cost besides a demand of which nothing is known.
+        It comes with that besides a demand of which nothing is known.
         """
         found: dict[Pattern, int] = {}
         least, rest = self.floors, below

@@ -87,11 +87,7 @@ def as_tree(answer: Answer) -> str:
 
 
 def read_tree(text: str) -> tuple[str, list[Entry]]:
-    """Read the title and the lines of a plan that ``as_tree`` wrote.
-
-    Raises:
-        ValueError: the text is something else.
-    """
+    """Read the title and the lines of a plan that ``as_tree`` wrote; else raise ValueError."""
     title, *lines = text.rstrip("\n").split("\n")
     entries = []
     for line in lines:
@@ -106,8 +102,7 @@ def read_tree(text: str) -> tuple[str, list[Entry]]:
 def tree_as_dot(text: str) -> str:
     """Draw the tree of a plan: new nodelets are dashed, topics are rectangles.
 
-    Raises:
-        ValueError: the text is something else.
+    Raises ValueError if the text is something else.
     """
     title, entries = read_tree(text)
     nodes: dict[str, str] = {}

@@ -140,11 +140,7 @@ def _joined(known: None | str | Types, types: Types, names: Names) -> str | Type
 def _shown(
     terms: Sequence[Term], known: Mapping[str, str | Types], names: Names
 ) -> tuple[list[Term], list[str]]:
-    """Write constraints of variables into terms, as people write it.
-
-    Returns:
-        The terms, and the constraints that have no place in them.
-    """
+    """Write constraints of variables into terms; returns those without a place in them, too."""
     bound = {each: names.written(name) for each, name in known.items() if isinstance(name, str)}
     own = types_of(terms)
     wanted: dict[str, list[str]] = {}
@@ -218,8 +214,7 @@ def _lacking(
 ) -> dict[str, Types] | None:
     """Match atoms of an action without regard to types of the demand's variables.
 
-    Returns:
-        The names that lack some of these types; None if other names are demanded.
+    Returns the names that lack some of these types; None if other names are demanded.
     """
     for supplied, demanded in pairs:
         if len(supplied) != len(demanded):

@@ -65,9 +65,8 @@ class Builder:
     def build(self, node: XmlNode) -> Transformation | None:
         """Check a `<transformation>` without variables, and make the transformation.
 
-        Returns:
-            The transformation, to be used only if no problem was noted; None if there is no
-            label, or neither a source nor a node.
+        It is to be used only if no problem was noted; None if there is no label, or neither a
+        source nor a node.
         """
         kind = node.get("type") or NODELET
         label, source = node.child("label"), node.child("source")

@@ -39,11 +39,7 @@ class Findings:
         self._repetitions = 0
 
     def problem(self, line: int, message: str) -> None:
-        """Note an error.
-
-        Raises:
-            EnoughProblems: The list is full, or the same problems repeat too often.
-        """
+        """Note an error; EnoughProblems if the list is full, or problems repeat too often."""
         problem = Problem(self._file, line, message)
         if problem in self._problems:
             self._repetitions += 1
@@ -72,11 +68,7 @@ class Findings:
         return tuple(sorted(self._warnings, key=lambda problem: problem.line))
 
     def raise_if_any(self) -> None:
-        """Refuse the text if an error was noted.
-
-        Raises:
-            SpecificationError: With every error and warning.
-        """
+        """Raise SpecificationError with every error and warning if an error was noted."""
         if self._problems:
             raise SpecificationError(self.problems, self.warnings)
 

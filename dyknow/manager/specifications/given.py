@@ -92,10 +92,7 @@ def completed(
     """Check parameters that are given to a nodelet; returns them with their types, by name.
 
     An empty type is the transformation's or follows from the text. Without an ontology the types
-    of variables are not checked.
-
-    Raises:
-        InvalidParameters: they cannot be used; all problems are named.
+    of variables are not checked. InvalidParameters names all problems.
     """
     declared = {each.name: each.type for each in transformation.parameters}
     counts = Counter(name for name, _, _ in given)
@@ -132,8 +129,7 @@ def set_on_load(
 ) -> tuple[Parameter, ...]:
     """Return the parameters to set in a nodelet's namespace before it is loaded.
 
-    Raises:
-        InvalidParameters: placeholders stay unfilled, or a value is not of its type.
+    Raises InvalidParameters if placeholders stay unfilled, or a value is not of its type.
     """
     bindings = bindings_of(given)
     overriding = [each for each in given if each.name[:1] != "?"]

@@ -115,12 +115,9 @@ class Ontology:
         return tuple(sorted(found))
 
     def unlabelled(self, concept: str) -> tuple[str, ...]:
-        """Return the URIs of the individuals of a class that have no label.
+        """Return the URIs of a class's individuals that have no label, or raise UnknownConcept.
 
         `_:` begins those of individuals that have no URI.
-
-        Raises:
-            UnknownConcept: no class has this URI.
         """
         return tuple(each for each in self._of(concept) if not self._labels.terms(each))
 

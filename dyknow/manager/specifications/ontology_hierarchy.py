@@ -61,8 +61,7 @@ class Hierarchy:
     def complete_unions(self, visits: int) -> bool:
         """Make each union a subclass of the superclasses that its parts share.
 
-        Returns:
-            False if that would visit more classes; only some superclasses were found then.
+        Returns False if that would visit more classes; only some superclasses were found then.
         """
         changed = True
         while changed:

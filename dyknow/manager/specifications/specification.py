@@ -110,10 +110,9 @@ def parse(
 def parse_file(
     path: str, ontology: Concepts | None = None, types: Lookup = no_types
 ) -> Specifications:
-    """Parse a file, which messages name as it is given here.
+    """Parse a file, which messages name as it is given here; see ``parse``.
 
-    Raises:
-        SpecificationError: With every problem of the text, or because the file cannot be read.
+    SpecificationError also says that the file cannot be read.
     """
     name = os.fspath(path)
     try:

@@ -194,8 +194,7 @@ def unify_all(
 ) -> Iterator[dict[str, str]]:
     """Match every demanded tag with one of the tags of a stream, under the same bindings.
 
-    Yields:
-        The bindings of each way to do so, in the order of the demanded and the supplied tags.
+    Yields the bindings of each way, in the order of the demanded and the supplied tags.
     """
     demanded = tuple(demanded)
     ground = [tag for tag in supplied if tag.is_ground]

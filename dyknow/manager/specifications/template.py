@@ -165,8 +165,7 @@ class Expander:
     def _cut(self, node: XmlNode, names: dict[str, int]) -> _AllPieces | None:
         """Cut all texts at their variables, and values also at their placeholders.
 
-        Returns:
-            The pieces of each text; None if one has a problem, which was noted.
+        Returns the pieces of each text; None if one has a problem, which was noted.
         """
         found: _AllPieces = {}
         good = True

@@ -52,8 +52,7 @@ def infer_type(text: str) -> str:
 def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIMITS) -> Value:
     """Parse the text of a parameter into the value for the parameter server.
 
-    Raises:
-        BadValue: The text is not of this type, or the parameter server cannot hold it.
+    Raises BadValue if it is not of this type, or the parameter server cannot hold it.
     """
     if type_ == "string":
         _check_text(text)
@@ -91,9 +90,7 @@ def filled(
 ) -> str:
     """Put names for the placeholders of a parameter; in YAML they are strings, or parts of them.
 
-    Raises:
-        BadValue: the text is not YAML.
-        KeyError: a variable has no name.
+    Raises BadValue if the text is not YAML, KeyError if a variable has no name.
     """
     variables = variables_of(text)
     if type_ != "yaml" or not variables:

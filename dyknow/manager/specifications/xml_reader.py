@@ -153,8 +153,7 @@ class XmlReader:
     def read(self, text: str | bytes) -> Iterator[XmlNode]:
         """Return the units of a text (characters or UTF-8) that are complete, problems or not.
 
-        Raises:
-            EnoughProblems: the text cannot be read beyond a problem, which was noted.
+        EnoughProblems: it cannot be read beyond a problem, which was noted.
         """
         data = self._utf8(text)
         view = memoryview(data)
