@@ -105,17 +105,13 @@ def plan_load(
     any_manager: bool = False,
     stored: Stored | None = None,
 ) -> LoadPlan:
-    """Compare a wiring with the running system.
+    """Compare a wiring with the running system, a snapshot with its transformations.
 
-    Args:
-        wiring: the wanted state.
-        snapshot: the present state, with its transformations.
-        managers: nodelet managers that are up, and hosts that answer, as ``@HOST``.
-        is_own_manager: tells a nodelet manager that the DyKnow manager starts when it is needed.
-        replace: replace transformations that differ, and make nodelets again that were made
-            otherwise.
-        any_manager: let the manager choose where the wanted nodelet manager is not up.
-        stored: returns the parameters of nodelets; None if they are unknown.
+    The managers are nodelet managers that are up, and hosts that answer, as ``@HOST``; one that
+    ``is_own_manager`` is started by the DyKnow manager when it is needed. ``replace`` allows to
+    replace transformations that differ, and to make nodelets again that were made otherwise;
+    ``any_manager`` lets the manager choose where the wanted nodelet manager is not up. ``stored``
+    returns the parameters of nodelets; None if they are unknown.
     """
     plan = LoadPlan()
     plan.former = {each.label: each for each in snapshot.transformations}

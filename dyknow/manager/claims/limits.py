@@ -46,6 +46,7 @@ _THIRD = SAMPLES // 3
 _FAIR_PART = 0.5
 
 Flows = Mapping[Place, Flow]
+Spans = Mapping[Place, Span]
 
 
 class Stream:
@@ -245,9 +246,7 @@ class Rate(Limit):
         what = f"{described(place)} is too slow: it sends {spans[place].rate:.3g} Hz; {has}"
         return [Judgement(place, needed, f"{what}, at least {limit:g} Hz are demanded")]
 
-    def _bottleneck(
-        self, stream: Stream, spans: Mapping[Place, Span]
-    ) -> tuple[Place, float] | None:
+    def _bottleneck(self, stream: Stream, spans: Spans) -> tuple[Place, float] | None:
         """Follow slow parts upstream to the first one, with the rate that it would need.
 
         None as long as that is not certain.
@@ -267,12 +266,7 @@ class Rate(Limit):
             seen.add(place)
 
     def _cause(
-        self,
-        sender: Place,
-        place: Place,
-        needed: float,
-        stream: Stream,
-        spans: Mapping[Place, Span],
+        self, sender: Place, place: Place, needed: float, stream: Stream, spans: Spans
     ) -> _Cause:
         """Tell whether a place is too slow since its sender is.
 

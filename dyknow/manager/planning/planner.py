@@ -37,6 +37,7 @@ from dyknow.manager.planning.problem import (
     Plan,
     PlanStep,
     Source,
+    Streams,
     TaggedStream,
     Verdicts,
     Wishes,
@@ -100,7 +101,7 @@ class Planner:
     def plan(
         self,
         demand: Demand,
-        live: Iterable[TaggedStream] = (),
+        live: Streams = (),
         exclude: AbstractSet[str] = NO_LABELS,
         free: Free = NO_FREE,
         paused: AbstractSet[str] = NO_LABELS,
@@ -172,21 +173,14 @@ class Planner:
         return _written(draft, least_cost, improving.is_cut_short)
 
     def charges(
-        self,
-        demand: Demand,
-        live: Iterable[TaggedStream],
-        exclude: AbstractSet[str],
-        wishes: Wishes,
+        self, demand: Demand, live: Streams, exclude: AbstractSet[str], wishes: Wishes
     ) -> dict[str, int]:
         """Return the charges of the parts of a plan besides their costs, by label."""
         return _charges(self._library, demand, list(live), exclude, wishes)
 
     @without_collection()
     def parts(
-        self,
-        demand: Demand,
-        live: Iterable[TaggedStream] = (),
-        exclude: AbstractSet[str] = NO_LABELS,
+        self, demand: Demand, live: Streams = (), exclude: AbstractSet[str] = NO_LABELS
     ) -> set[tuple[str, Bindings]]:
         """Find every possible part of a plan, under any verdicts; the arguments are as for `plan`.
 
@@ -208,10 +202,7 @@ class Planner:
 
     @without_collection()
     def bindings(
-        self,
-        demand: Demand,
-        live: Iterable[TaggedStream] = (),
-        verdicts: Verdicts | None = NO_VERDICTS,
+        self, demand: Demand, live: Streams = (), verdicts: Verdicts | None = NO_VERDICTS
     ) -> tuple[list[Bindings], bool]:
         """Find all that the variables of a demand can stand for; the arguments are as for `plan`.
 

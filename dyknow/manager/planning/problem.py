@@ -67,6 +67,7 @@ class Live(NamedTuple):
 
 TaggedStream = Tuple[Live, Tuple[Term, ...]]
 """A stream and what it is about."""
+Streams = Iterable[TaggedStream]
 
 
 Instance = Tuple[str, Bindings]
