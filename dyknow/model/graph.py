@@ -78,21 +78,13 @@ OWNER = "owner: "
 
 @dataclass(frozen=True)
 class PortState:
-    """A port of a running nodelet.
+    """A port of a running nodelet."""
 
-    Attributes:
-        name: unique in the nodelet.
-        direction: ``in`` or ``out``.
-        datatype: ROS type, empty when not known yet.
-        topic: global name, empty when disconnected.
-        tags: those of the transformation.
-    """
-
-    name: str
-    direction: str
-    datatype: str = ""
-    topic: str = ""
-    tags: Tuple[str, ...] = ()
+    name: str  #: unique in the nodelet
+    direction: str  #: ``in`` or ``out``
+    datatype: str = ""  #: ROS type, empty when not known yet
+    topic: str = ""  #: global name, empty when disconnected
+    tags: Tuple[str, ...] = ()  #: those of the transformation
 
 
 def moved_ports(ports: Tuple[PortState, ...], kind: NodeletKind) -> Tuple[PortState, ...]:
@@ -126,39 +118,26 @@ class PortRef:
 
 @dataclass(frozen=True)
 class NodeletStatus:
-    """A nodelet and how it is connected; the fields are those of ``dyknow_msgs/Nodelet``.
+    """A nodelet and how it is connected; the fields are those of ``dyknow_msgs/Nodelet``."""
 
-    Attributes:
-        name: global name.
-        transformation: label of the transformation that it was made from; empty if another
-            client loaded it.
-        manager: nodelet manager that hosts it; empty for a node in a process of its own.
-        is_protected: whether ``destroy`` refuses it.
-        isolated: whether it has a process of its own.
-        is_fixed: whether its topics are fixed since its start: a C++ nodelet in a nodelet manager
-            without live ports.
-        state: whether it runs.
-        detail: why it does not, or is outdated, in words.
-        ports: in the order in which the nodelet made them.
-        parameters: those that were given to it when it was spawned, by name.
-        kind: Python or C++, nodelet, script or node.
-        host: machine that it runs on, as ROS names it; empty if unknown.
-        owner: the node that had it loaded (another DyKnow manager, ``nodelet load``) or, of a
-            node, the DyKnow manager that started it; else its process. Empty if it was spawned.
-    """
-
-    name: str
+    name: str  #: global name
+    #: Label of the transformation that it was made from; empty if another client loaded it.
     transformation: str
-    manager: str
-    is_protected: bool
-    isolated: bool
+    manager: str  #: nodelet manager that hosts it; empty for a node in a process of its own
+    is_protected: bool  #: whether ``destroy`` refuses it
+    isolated: bool  #: whether it has a process of its own
+    #: Whether its topics are fixed since its start: a C++ nodelet in a nodelet manager without
+    #: live ports.
     is_fixed: bool
-    state: State
-    detail: str
-    ports: Tuple[PortState, ...]
+    state: State  #: whether it runs
+    detail: str  #: why it does not, or is outdated, in words
+    ports: Tuple[PortState, ...]  #: in the order in which the nodelet made them
+    #: Those that were given to it when it was spawned, by name.
     parameters: Tuple[Parameter, ...] = ()
-    kind: NodeletKind = NodeletKind.PYTHON
-    host: str = ""
+    kind: NodeletKind = NodeletKind.PYTHON  #: Python or C++, nodelet, script or node
+    host: str = ""  #: machine that it runs on, as ROS names it; empty if unknown
+    #: The node that had it loaded (another DyKnow manager, ``nodelet load``) or, of a node, the
+    #: DyKnow manager that started it; else its process. Empty if it was spawned.
     owner: str = ""
 
     @property
@@ -202,18 +181,12 @@ class NodeletStatus:
 
 @dataclass(frozen=True)
 class Model:
-    """The computation graph at one moment.
+    """The computation graph at one moment."""
 
-    Attributes:
-        revision: grows with every change of the nodelets, over restarts too.
-        library_revision: grows with every change of the transformations.
-        nodelets: by name.
-        transformations: by label; empty where only the graph was requested.
-    """
-
-    revision: int
-    library_revision: int
-    nodelets: Tuple[NodeletStatus, ...]
+    revision: int  #: grows with every change of the nodelets, over restarts too
+    library_revision: int  #: grows with every change of the transformations
+    nodelets: Tuple[NodeletStatus, ...]  #: by name
+    #: By label; empty where only the graph was requested.
     transformations: Tuple[Transformation, ...] = ()
 
     def nodelet(self, name: str) -> Optional[NodeletStatus]:
@@ -231,39 +204,27 @@ class Restarted:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """The outcome of setting a parameter.
+    """The outcome of setting a parameter."""
 
-    Attributes:
-        is_read: whether the nodelet has read it already; else a restart lets it.
-        remarks: for people, one a line.
-    """
-
-    is_read: bool
-    remarks: str = ""
+    is_read: bool  #: whether the nodelet has read it already; else a restart lets it
+    remarks: str = ""  #: for people, one a line
 
 
 @dataclass(frozen=True)
 class SpawnRequest:
-    """A request for a new nodelet.
+    """A request for a new nodelet."""
 
-    Attributes:
-        label: of the transformation.
-        name: of the new nodelet.
-        config: topics by port; ports that are not named start disconnected.
-        is_protected: refuse to destroy it.
-        isolated: give it a process of its own.
-        manager: nodelet manager to use, or ``@HOST`` for one on that host, always; empty for the
-            manager's choice.
-        parameters: names override the transformation's parameters, variables such as ``?camera``
-            carry their names; an empty type is the transformation's, or follows from the text.
-    """
-
-    label: str
-    name: str
+    label: str  #: of the transformation
+    name: str  #: of the new nodelet
+    #: Topics by port; ports that are not named start disconnected.
     config: Mapping[str, str] = field(default_factory=dict)
-    is_protected: bool = False
-    isolated: bool = False
+    is_protected: bool = False  #: refuse to destroy it
+    isolated: bool = False  #: give it a process of its own
+    #: Nodelet manager to use, or ``@HOST`` for one on that host, always; empty for the manager's
+    #: choice.
     manager: str = ""
+    #: Names override the transformation's parameters, variables such as ``?camera`` carry their
+    #: names; an empty type is the transformation's, or follows from the text.
     parameters: Tuple[Parameter, ...] = ()
 
     @property

@@ -36,40 +36,28 @@ UNKNOWN_AGE = "not known how old messages are: they bear no stamp, or no process
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """A client's request for a stream.
+    """A client's request for a stream."""
 
-    Attributes:
-        tag: a term, such as ``FieldPosition(ball)``.
-        datatype: ROS type; empty for any.
-        client_id: name of the client.
-        request_id: the same request again gets the same claim; empty: every request is a new one.
-        bond_id: the client's bond, which the manager watches; empty for none.
-        lease: seconds until the claim ends unless it is renewed; 0 for until it is released.
-        max_silence: seconds without a message after which a part counts as broken; 0: never.
-        exclude: labels of transformations that must not be used.
-        min_rate: Hz below which the stream is too slow; 0: any rate will do.
-        max_age: seconds beyond which messages are too old when they are sent, by the stamps in
-            their headers; 0: any age will do.
-        prefer: concepts or labels of parts to use where there is a choice.
-        avoid: concepts or labels of parts to use only where there is no choice.
-        budget: seconds for the improvement of the plan; 0 for the default.
-        require: a formula over ``it``, the stream's messages, that has to be TRUE.
-    """
-
-    tag: str
-    datatype: str = ""
-    client_id: str = ""
+    tag: str  #: a term, such as ``FieldPosition(ball)``
+    datatype: str = ""  #: ROS type; empty for any
+    client_id: str = ""  #: name of the client
+    #: The same request again gets the same claim; empty: every request is a new one.
     request_id: str = ""
-    bond_id: str = ""
+    bond_id: str = ""  #: the client's bond, which the manager watches; empty for none
+    #: Seconds until the claim ends unless it is renewed; 0 for until it is released.
     lease: float = 0.0
+    #: Seconds without a message after which a part counts as broken; 0: never.
     max_silence: float = 0.0
-    exclude: Tuple[str, ...] = ()
-    min_rate: float = 0.0
+    exclude: Tuple[str, ...] = ()  #: labels of transformations that must not be used
+    min_rate: float = 0.0  #: Hz below which the stream is too slow; 0: any rate will do
+    #: Seconds beyond which messages are too old when they are sent, by the stamps in their
+    #: headers; 0: any age will do.
     max_age: float = 0.0
-    prefer: Tuple[str, ...] = ()
+    prefer: Tuple[str, ...] = ()  #: concepts or labels of parts to use where there is a choice
+    #: Concepts or labels of parts to use only where there is no choice.
     avoid: Tuple[str, ...] = ()
-    budget: float = 0.0
-    require: str = ""
+    budget: float = 0.0  #: seconds for the improvement of the plan; 0 for the default
+    require: str = ""  #: a formula over ``it``, the stream's messages, that has to be TRUE
 
 
 @dataclass(frozen=True)
@@ -99,31 +87,17 @@ class StreamStatus:
 
 @dataclass(frozen=True)
 class StreamEvent:
-    """A change of a claim.
+    """A change of a claim."""
 
-    Attributes:
-        stamp: ROS time in seconds.
-        before: the claim as it was; None for a new one.
-        after: the claim as it is.
-        reason: cause of the change.
-    """
-
-    stamp: float
-    before: Optional[StreamStatus]
-    after: StreamStatus
-    reason: str
+    stamp: float  #: ROS time in seconds
+    before: Optional[StreamStatus]  #: the claim as it was; None for a new one
+    after: StreamStatus  #: the claim as it is
+    reason: str  #: cause of the change
 
 
 @dataclass(frozen=True)
 class Acquisition:
-    """Answer to ``acquire_stream``; the fields are those of the service.
-
-    Attributes:
-        message: the detail of the claim.
-        warnings: probable mistakes; in the service they are lines of the message.
-        bindings: values of the tag's variables, each as ``?camera=left``.
-        least_cost: no plan costs less; if it is the cost, the plan is proven to cost least.
-    """
+    """Answer to ``acquire_stream``; the fields are those of the service."""
 
     claim_id: str
     topic: str
@@ -133,9 +107,11 @@ class Acquisition:
     cost: float
     expires: float
     plan: str
-    message: str
+    message: str  #: the detail of the claim
+    #: Probable mistakes; in the service they are lines of the message.
     warnings: Tuple[str, ...] = ()
-    bindings: Tuple[str, ...] = ()
+    bindings: Tuple[str, ...] = ()  #: values of the tag's variables, each as ``?camera=left``
+    #: No plan costs less; if it is the cost, the plan is proven to cost least.
     least_cost: float = 0.0
 
 

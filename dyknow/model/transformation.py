@@ -24,67 +24,41 @@ OUT = "out"
 
 
 class Parameter(NamedTuple):
-    """A parameter that is set in the nodelet's namespace before the nodelet is loaded.
+    """A parameter that is set in the nodelet's namespace before the nodelet is loaded."""
 
-    Attributes:
-        name: The name, relative to the nodelet.
-        type: `string`, `int`, `double`, `bool` or `yaml`.
-        text: The value as text; that of a transformation may have `placeholders`.
-    """
-
-    name: str
-    type: str
-    text: str
+    name: str  #: The name, relative to the nodelet
+    type: str  #: `string`, `int`, `double`, `bool` or `yaml`
+    text: str  #: The value as text; that of a transformation may have `placeholders`
 
 
 class Port(NamedTuple):
-    """A port of a nodelet, or the topic of a topic transformation.
+    """A port of a nodelet, or the topic of a topic transformation."""
 
-    Attributes:
-        name: The name, unique in the transformation across both directions.
-        direction: `in` or `out`.
-        datatype: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated.
-        tags: Semantic descriptions of the stream, in the order written.
-        rate: Messages a second that an out-port sends, in Hz; 0 when it is not stated.
-        latency: Seconds that its nodelet adds to the age of an out-port's messages; 0 when it is
-            not stated.
-    """
-
-    name: str
-    direction: str
-    datatype: str = ""
-    tags: Tuple[str, ...] = ()
-    rate: float = 0.0
+    name: str  #: The name, unique in the transformation across both directions
+    direction: str  #: `in` or `out`
+    datatype: str = ""  #: The ROS type, such as `sensor_msgs/Image`; empty when it is not stated
+    tags: Tuple[str, ...] = ()  #: Semantic descriptions of the stream, in the order written
+    rate: float = 0.0  #: Messages a second that an out-port sends, in Hz; 0 when it is not stated
+    #: Seconds that its nodelet adds to the age of an out-port's messages; 0 when it is not stated.
     latency: float = 0.0
 
 
 class Requirement(NamedTuple):
-    """A verdict that has to be TRUE, for a transformation to be usable.
+    """A verdict that has to be TRUE, for a transformation to be usable."""
 
-    Attributes:
-        tag: the tag of the verdicts; its variables are those of the transformation.
-        initially: whether it counts as TRUE before the first verdict.
-    """
-
-    tag: str
-    initially: bool = True
+    tag: str  #: the tag of the verdicts; its variables are those of the transformation
+    initially: bool = True  #: whether it counts as TRUE before the first verdict
 
 
 _PROGRAM = re.compile(r"([A-Za-z][\w-]*)/([\w.+-]+)\Z", re.ASCII)
 
 
 class Program(NamedTuple):
-    """A program of a package, with arguments, as the source of a node names it.
+    """A program of a package, with arguments, as the source of a node names it."""
 
-    Attributes:
-        package: the name of a package.
-        executable: the name of a program in it.
-        arguments: its command-line arguments.
-    """
-
-    package: str
-    executable: str
-    arguments: Tuple[str, ...] = ()
+    package: str  #: the name of a package
+    executable: str  #: the name of a program in it
+    arguments: Tuple[str, ...] = ()  #: its command-line arguments
 
     @classmethod
     def of(cls, source: str) -> Program:
@@ -115,29 +89,21 @@ class Transformation(NamedTuple):
 
     These are values: equal when they say the same, safe to share between threads. They are
     named tuples because a library may hold hundreds of thousands of them.
-
-    Attributes:
-        label: The name under which the manager keeps the transformation.
-        source: The nodelet's plugin name, `package/Class`; of a node `package/executable`, with
-            its arguments as in a shell; the topic if `type` is `topic`.
-        type: `nodelet`, `node`, `topic` or `formula`.
-        cost: Cost of such a nodelet in a plan, 0 to 2**32 - 1.
-        parameters: Parameters to set before the load, in the order written.
-        ports: The ports, in the order written.
-        isolated: Whether a nodelet gets a process of its own, unless the spawn says where it goes.
-        node: Global name of the external node that this describes; empty for a blueprint.
-        requires: Verdicts on which it depends.
     """
 
-    label: str
+    label: str  #: The name under which the manager keeps the transformation
+    #: The nodelet's plugin name, `package/Class`; of a node `package/executable`, with its
+    #: arguments as in a shell; the topic if `type` is `topic`.
     source: str
-    type: str = NODELET
-    cost: int = 1
+    type: str = NODELET  #: `nodelet`, `node`, `topic` or `formula`
+    cost: int = 1  #: Cost of such a nodelet in a plan, 0 to 2**32 - 1
+    #: Parameters to set before the load, in the order written.
     parameters: Tuple[Parameter, ...] = ()
-    ports: Tuple[Port, ...] = ()
+    ports: Tuple[Port, ...] = ()  #: The ports, in the order written
+    #: Whether a nodelet gets a process of its own, unless the spawn says where it goes.
     isolated: bool = False
-    node: str = ""
-    requires: Tuple[Requirement, ...] = ()
+    node: str = ""  #: Global name of the external node that this describes; empty for a blueprint
+    requires: Tuple[Requirement, ...] = ()  #: Verdicts on which it depends
 
     @property
     def is_described(self) -> bool:
@@ -181,15 +147,10 @@ Transformations = Mapping[str, Transformation]
 
 @dataclass(frozen=True)
 class Added:
-    """The outcome of adding a specification to the library.
+    """The outcome of adding a specification to the library."""
 
-    Attributes:
-        labels: of the added or replaced transformations, sorted.
-        warnings: probable mistakes, one a line.
-    """
-
-    labels: Tuple[str, ...]
-    warnings: str
+    labels: Tuple[str, ...]  #: of the added or replaced transformations, sorted
+    warnings: str  #: probable mistakes, one a line
 
 
 def as_specification(transformations: Iterable[Transformation]) -> str:
