@@ -78,18 +78,15 @@ class Reported:
 
 @dataclass(frozen=True)
 class HostReport:
-    """The outcome of polling a host.
+    """The outcome of polling a host."""
 
-    Attributes:
-        processes: nodelet managers and re-wirable nodes by name, dead ones included.
-        nodelets: names of the nodelets of each; without processes that did not answer, or were
-            restarted meanwhile.
-        crashes: recent ones by incarnation, complete for processes that ``processes`` shows as
-            dead or restarted.
-    """
-
+    #: Nodelet managers and re-wirable nodes by name, dead ones included.
     processes: Mapping[str, ProcessState]
+    #: Names of the nodelets of each; without processes that did not answer, or were restarted
+    #: meanwhile.
     nodelets: Mapping[str, frozenset[str]]
+    #: Recent ones by incarnation, complete for processes that ``processes`` shows as dead or
+    #: restarted.
     crashes: Mapping[str, Crash]
 
 

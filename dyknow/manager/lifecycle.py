@@ -65,19 +65,16 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class StreamKeeper:
-    """Callbacks of the room that keeps streams for clients.
+    """Callbacks of the room that keeps streams for clients."""
 
-    Attributes:
-        fitting: returns the connections of a nodelet that can be made when it is brought back.
-        on_death: called with the record of a nodelet of a claim that died.
-        on_crash: called with the label of a nodelet whose code ran when its process crashed, and
-            that was destroyed since.
-        on_replaced: called with the label of a transformation that was replaced.
-    """
-
+    #: Returns the connections of a nodelet that can be made when it is brought back.
     fitting: Callable[[Record], Mapping[str, str]] = lambda record: record.topics
+    #: Called with the record of a nodelet of a claim that died.
     on_death: Callable[[Record], None] = lambda record: None
+    #: Called with the label of a nodelet whose code ran when its process crashed, and that was
+    #: destroyed since.
     on_crash: Callable[[str], None] = lambda label: None
+    #: Called with the label of a transformation that was replaced.
     on_replaced: Callable[[str], None] = lambda label: None
 
 

@@ -57,30 +57,25 @@ class Kept:
 
 @dataclass
 class LoadPlan:
-    """The changes that a load would make, and the problems that forbid it.
+    """The changes that a load would make, and the problems that forbid it."""
 
-    Attributes:
-        added: transformations that the library does not have.
-        replaced: transformations that the library has otherwise, each with the file's.
-        same: labels of those that it has just so.
-        spawned: nodelets to make that are not there, readers before writers.
-        remade: running nodelets that are to be made again, since they were made otherwise.
-        kept: nodelets that run already, and go on.
-        any_manager: names of nodelets whose nodelet manager is not there: the manager chooses.
-        problems: why the load is refused; empty if it is not.
-        blueprints: the transformations to make nodelets from, by label.
-        former: those that the library has now, by label.
-    """
-
+    #: Transformations that the library does not have.
     added: list[Transformation] = field(default_factory=list)
+    #: Transformations that the library has otherwise, each with the file's.
     replaced: list[tuple[Transformation, Transformation]] = field(default_factory=list)
-    same: list[str] = field(default_factory=list)
+    same: list[str] = field(default_factory=list)  # labels of those that it has just so
+    #: Nodelets to make that are not there, readers before writers.
     spawned: list[SpawnRequest] = field(default_factory=list)
+    #: Running nodelets that are to be made again, since they were made otherwise.
     remade: list[Kept] = field(default_factory=list)
-    kept: list[Kept] = field(default_factory=list)
+    kept: list[Kept] = field(default_factory=list)  # nodelets that run already, and go on
+    #: Names of nodelets whose nodelet manager is not there: the manager chooses.
     any_manager: set[str] = field(default_factory=set)
+    #: Why the load is refused; empty if it is not.
     problems: list[str] = field(default_factory=list)
+    #: The transformations to make nodelets from, by label.
     blueprints: dict[str, Transformation] = field(default_factory=dict)
+    #: Those that the library has now, by label.
     former: dict[str, Transformation] = field(default_factory=dict)
 
     @property

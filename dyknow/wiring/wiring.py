@@ -171,16 +171,13 @@ def read_wiring(
 
 
 class _NodeletReader:
-    """Reads the nodelets of a wiring.
-
-    Attributes:
-        requests: those that were read; to be used only if no problem was noted.
-    """
+    """Reads the nodelets of a wiring."""
 
     def __init__(self, findings: Findings, limit: Callable[[], int]) -> None:
         self._findings = findings
         self._limit = limit
         self._most = NO_GUARDS.nodelets
+        #: Those that were read; to be used only if no problem was noted.
         self.requests: list[SpawnRequest] = []
         self._lines: dict[str, int] = {}
 

@@ -63,20 +63,11 @@ NO_FEEDERS: Mapping[str, frozenset[str]] = MappingProxyType({})
 
 
 class Request:
-    """The problem of one request.
+    """The problem of one request."""
 
-    Attributes:
-        goal: the requested demand.
-        limit: its age at most, in microseconds; None for any.
-        kept: actions of which nodelets are free: numbers of these, and names that each keeps.
-        scarce: those of them of which no further nodelet is made.
-        charges: charges of actions besides their costs.
-        is_strict: whether private variables count as one where an action has fast inputs or not.
-        is_whole: whether parts of dearer plans are looked at as well.
-    """
-
+    #: Whether private variables count as one where an action has fast inputs or not.
     is_strict = False
-    is_whole = False
+    is_whole = False  # whether parts of dearer plans are looked at as well
 
     def __init__(
         self,
@@ -99,16 +90,18 @@ class Request:
         self.library = library
         self.names = names = library.names
         self.demand = demand
+        #: Its age at most, in microseconds; None for any.
         self.limit = round(demand.max_age * 1e6) if demand.max_age else None
         self._fast: dict[Pattern, Pattern] = {}
         self._fast_actions: dict[Operator, Operator] = {}
-        self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)
+        self.goal = pattern_of(demand.tags, demand.datatype, names, wanted)  # the requested demand
         self.goal.refused = refused
         if demand.min_rate:
             self.goal = self._faster(self.goal)
         actions = library.actions
         self.exclude, self.paused = exclude, paused
         numbers = itertools.count()
+        #: Actions of which nodelets are free: numbers of these, and names that each keeps.
         self.kept = {
             actions[label]: [
                 (next(numbers), {variable: names.canonical(name) for variable, name in bindings})
@@ -117,12 +110,14 @@ class Request:
             for label, nodelets in free.items()
             if label in actions and label not in exclude
         }
+        #: Those of them of which no further nodelet is made.
         self.scarce = {action for action in self.kept if action.label in paused}
         self._barred = {actions[each] for each in (*exclude, *paused) if each in actions}
         self._barred -= self.scarce
         self._verdicts = verdicts
         guarded = [each for each in library.guarded if not each.variables]
         self._barred.update(each for each in guarded if self.is_barred(each, ()))
+        #: Charges of actions besides their costs.
         self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
         #: Least costs of actions where these differ from the stated ones.
         self._floors = {

@@ -26,10 +26,6 @@ class Ontology:
     Classes and individuals are named by their URI or by a label; those without a label also by
     the last part of their URI. Thus the functor and the arguments of a tag such as
     `BallObject(nao1)` are names. All names of a class or individual are equivalent.
-
-    Attributes:
-        warnings: statements that were skipped, and doubtful ones.
-        files: paths of the files that were read, imported ones included.
     """
 
     def __init__(
@@ -69,7 +65,9 @@ class Ontology:
         if refused:
             raise LabelsError(refused)
         remarks.names(self._labels, self._classes, self._individuals)
+        #: Statements that were skipped, and doubtful ones.
         self.warnings = tuple(remarks.problems())
+        #: Paths of the files that were read, imported ones included.
         self.files = tuple(file.path for file in read.files)
         self._types: dict[str, frozenset[str]] = {}
         self._instances: dict[str, list[str]] = defaultdict(list)
