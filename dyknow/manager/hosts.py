@@ -40,8 +40,7 @@ class HostTable:
         #: Hosts that were away too often lately to be relied on, as of the last look.
         self.paused: frozenset[str] = frozenset()
         self._absences = Backoff(clock, _FIRST_PAUSE, _LONGEST_PAUSE, _FORGIVEN_AFTER)
-        #: The host of each process, also of one that has ended.
-        self._places: dict[str, str] = {}
+        self._places: dict[str, str] = {}  # the host of each process, also of one that has ended
         #: Whether each host is away, and since when it is as it is.
         self._since = {host.here: (False, clock())}
 

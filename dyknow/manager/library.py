@@ -53,8 +53,7 @@ class Library:
         self._store = store
         self._concepts = ontology
         self._limits = limits
-        #: Describes message types.
-        self.types = types
+        self.types = types  # describes message types
         self._turn = turn_lock("library")
         self._state_lock = state_lock("transformations")
         self._by_label: dict[str, Transformation] = store.read("transformations", _stored)

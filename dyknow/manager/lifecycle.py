@@ -118,8 +118,7 @@ class Lifecycle:
         self.fitting = context.keeper.fitting
         #: Nodelets that are isolated since they crashed their processes.
         self.suspects = Suspects(context.clock.now)
-        #: Where they run.
-        self.hosts = HostTable(context.host, context.clock.now)
+        self.hosts = HostTable(context.host, context.clock.now)  # where they run
         self._on_replaced = context.keeper.on_replaced
         #: The code of libraries in C++, by the incarnation that has loaded them and the source.
         self._libraries: dict[tuple[str, str], str] = {}

@@ -89,8 +89,7 @@ class Spread:
         self._report = report
         self._limit = limit
         self._most = most
-        #: By incarnation.
-        self._usage: dict[str, Deque[Usage]] = {}
+        self._usage: dict[str, Deque[Usage]] = {}  # by incarnation
         #: By nodelet, the incarnations of the processes that it has left.
         self._left: dict[str, frozenset[str]] = {}
         self._stays = Backoff(now, _STAY, _LONGEST_STAY, tolerated=0)

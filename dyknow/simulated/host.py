@@ -109,37 +109,27 @@ class FakeHost(Host):
         self.ending: set[str] = set()
         #: Ports of nodelet types that do not show until they have a subscriber.
         self.lazy: dict[str, Collection[str]] = {}
-        #: Ordinary topics that are published.
-        self.topics: set[str] = set()
+        self.topics: set[str] = set()  # ordinary topics that are published
         #: Nodelets, by name or type, and ordinary topics that send nothing.
         self.silent: set[str] = set()
-        #: How many messages make one that is sent; 1 by default.
-        self.dividers: dict[str, int] = {}
+        self.dividers: dict[str, int] = {}  # how many messages make one that is sent; 1 by default
         #: Seconds that are added to the age of messages; None for messages without a stamp.
         self.delays: dict[str, float | None] = {}
         #: Stopped nodelet managers that seem to be well until they are called.
         self.unnoticed: set[str] = set()
-        #: ROS types without a header.
-        self.unstamped: set[str] = set()
+        self.unstamped: set[str] = set()  # ROS types without a header
         #: Nodelets whose connections and unloads fail with a timeout, and are made by ``arrive``.
         self.slow: set[str] = set()
         #: Code by source, and sources whose changed files cannot be run.
         self.code: dict[str, str] = {}
         self.broken: set[str] = set()
-        #: Nodelets that read their parameters while they run.
-        self.reconfigurable: set[str] = set()
-        #: Bytes of memory by nodelet manager.
-        self.taken: dict[str, int] = {}
-        #: What nodelet managers have used.
-        self.used: dict[str, Usage] = {}
-        #: Problems by nodelet.
-        self.details: dict[str, str] = {}
-        #: The machine of the processes that are not external.
-        self.machine = ""
-        #: Hosts of the nodes that publish on ordinary topics.
-        self.publishing: dict[str, str] = {}
-        #: Nodes that had nodelets loaded, by nodelet.
-        self.loaders: dict[str, str] = {}
+        self.reconfigurable: set[str] = set()  # nodelets that read their parameters while they run
+        self.taken: dict[str, int] = {}  # bytes of memory by nodelet manager
+        self.used: dict[str, Usage] = {}  # what nodelet managers have used
+        self.details: dict[str, str] = {}  # problems by nodelet
+        self.machine = ""  # the machine of the processes that are not external
+        self.publishing: dict[str, str] = {}  # hosts of the nodes that publish on ordinary topics
+        self.loaders: dict[str, str] = {}  # nodes that had nodelets loaded, by nodelet
         #: Nodelet managers that may still publish on topics of claims.
         self.leased: set[str] = set()
         #: Topics of verdicts that are followed, and the last verdict on each.
@@ -149,8 +139,7 @@ class FakeHost(Host):
         self.fail: Callable[[str, str], object] = lambda operation, argument: None
         #: Called after each change of nodelets and connections.
         self.on_change: Callable[[], None] = lambda: None
-        #: Every operation, in order.
-        self.calls: list[tuple[str, str]] = []
+        self.calls: list[tuple[str, str]] = []  # every operation, in order
         self.listeners: list[FakeListening] = []
         self.processes: dict[str, FakeProcess] = {}
         self.parameters: dict[str, object] = {}

@@ -199,8 +199,7 @@ class ClaimLock:
         self._requests = turn_lock("claim request")
         self._work = turn_lock("claim work")
         self._may_pause = False
-        #: Claim that the present request is about; rounds leave it alone.
-        self.claim_id = ""
+        self.claim_id = ""  # claim that the present request is about; rounds leave it alone
         #: Nodelets that the present request counts on; rounds do not destroy them.
         self.reserved: set[str] = set()
 

@@ -193,10 +193,8 @@ class Transaction:
         self._context = context
         self._graph = context.manager.graph
         self._connector = context.connector
-        #: The world after the latest change.
-        self.world = context.connector.world()
-        #: Names of the nodelets that were made.
-        self.spawned: list[str] = []
+        self.world = context.connector.world()  # the world after the latest change
+        self.spawned: list[str] = []  # names of the nodelets that were made
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
         self.failed_label = ""
         self._done: list[ReversibleStep] = []

@@ -186,8 +186,7 @@ class FlowMeter:
         self._graph = graph
         self._clock = clock
         self._running = running
-        #: The flow of each place that was counted.
-        self.flows: dict[Place, Flow] = {}
+        self.flows: dict[Place, Flow] = {}  # the flow of each place that was counted
         #: Nodelets that do not answer, with all nodelets of a process that hangs.
         self.unresponsive: frozenset[str] = frozenset()
         self._unanswered: dict[str, _Unanswered] = {}

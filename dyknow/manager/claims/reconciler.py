@@ -53,8 +53,7 @@ class StreamReconciler:
 
     def __init__(self, context: ClaimContext) -> None:
         """Take over the claims in the table; ``reconcile`` works on them."""
-        #: Makes and destroys nodelets.
-        self.manager = context.manager
+        self.manager = context.manager  # makes and destroys nodelets
         self._ended = self._had_work = False
         self._required_at: Hashable = None
         self._context = context

@@ -53,8 +53,7 @@ class Repair:
         #: Claims without a plan: the planner's signature at the time, the fault, and the requests
         #: that the plan had to satisfy.
         self._unplannable: dict[str, Hashable] = {}
-        #: Claims with nodelets that are being restarted.
-        self._held: frozenset[str] = frozenset()
+        self._held: frozenset[str] = frozenset()  # claims with nodelets that are being restarted
 
     # Faults
 

@@ -60,8 +60,7 @@ class Requirements:
         self._followed: set[str] = set()
         self._heard: Mapping[str, HeardVerdict] = {}
         self._tags: dict[Term, HeardVerdict] = {}
-        #: The verdicts of the last round.
-        self.verdicts = NO_VERDICTS
+        self.verdicts = NO_VERDICTS  # the verdicts of the last round
         #: Why nodelets and topics are lost, by their names.
         self.unavailable: Mapping[str, str] = {}
 

@@ -153,8 +153,7 @@ class Bucket:
     def __init__(self, functor: str, size: int, heads: Iterable[Head]) -> None:
         self._functor = functor
         self._size = size
-        #: The cheapest first.
-        self.heads = sorted(heads, key=_by_order)
+        self.heads = sorted(heads, key=_by_order)  # the cheapest first
         #: By place and name, or None for a variable; filled when first needed, by any thread.
         self._by_place: dict[int, dict[str | None, list[Head]]] = {}
 

@@ -156,8 +156,7 @@ class _Catalogue:
     """URIs of ontologies and their places, as an OASIS XML catalogue lists them."""
 
     def __init__(self, path: str, limits: SpecificationLimits) -> None:
-        #: Paths of the catalogues to ask next.
-        self.following: list[str] = []
+        self.following: list[str] = []  # paths of the catalogues to ask next
         self._path = path
         self._uris: dict[str, str] = {}
         self._prefixes: dict[str, str] = {}
