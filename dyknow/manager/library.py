@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence
+from typing import Callable, Iterable, Mapping, Sequence
 
 from dyknow.errors import LimitExceeded, Problem, SpecificationError, UnknownTransformation
 from dyknow.formulas.types import Lookup
@@ -19,12 +19,10 @@ from dyknow.manager.specifications.given import shares_variables
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.specifications.specification import Specifications, parse
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
+from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
 from dyknow.model.transformation import TOPIC, Transformation, Transformations
 from dyknow.similar import did_you_mean
-
-if TYPE_CHECKING:
-    from dyknow.manager.specifications.template import Concepts
 
 #: Meaning of the transformations in the store; 2: a variable is one thing throughout each.
 _SCHEMA = 2

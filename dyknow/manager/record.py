@@ -15,7 +15,7 @@ from dyknow.manager.bodies import pack, read_fields, unpack
 from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State, moved_ports
-from dyknow.model.transformation import Parameter, Transformation
+from dyknow.model.transformation import Parameter, Port, Transformation
 
 
 class Heard(NamedTuple):
@@ -98,8 +98,12 @@ class Record:
     @property
     def is_complete(self) -> bool:
         """Whether each of its declared ports was seen."""
-        declared = self.transformation.ports if self.transformation is not None else ()
-        return {port.name for port in declared} <= {port.name for port in self.ports}
+        return {port.name for port in self.declared} <= {port.name for port in self.ports}
+
+    @property
+    def declared(self) -> Tuple[Port, ...]:
+        """The ports of its transformation."""
+        return self.transformation.ports if self.transformation is not None else ()
 
     @property
     def label(self) -> str:
@@ -182,12 +186,10 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
 
 def declared_ports(record: Record) -> Tuple[PortState, ...]:
     """Return the ports of a nodelet without a proxy, as its transformation and topics say."""
-    if record.transformation is None:
-        return ()
     topics = record.topics
     return tuple(
         PortState(each.name, each.direction, each.datatype, topics.get(each.name, ""), each.tags)
-        for each in record.transformation.ports
+        for each in record.declared
     )
 
 
@@ -197,9 +199,8 @@ def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     For a port that was connected before the nodelet made it, the proxy reports the topic alone. A
     nodelet that was written for DyKnow makes its ports when it is loaded.
     """
-    declared = record.transformation.ports if record.transformation is not None else ()
     made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
-    awaited = [port.name for port in declared if port.name not in made]
+    awaited = [port.name for port in record.declared if port.name not in made]
     return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
 
 
@@ -222,8 +223,7 @@ def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str,
             for port, topic in record.topics.items()
             if topic and present.get(port) != topic
         }
-    assert record.transformation is not None
-    wanted = {**{port.name: "" for port in record.transformation.ports}, **record.topics}
+    wanted = {**{port.name: "" for port in record.declared}, **record.topics}
     return {
         port.name: wanted[port.name]
         for port in ports
@@ -239,7 +239,7 @@ def movable_ports(record: Record) -> Tuple[PortState, ...]:
     """
     if record.kind.is_written_for_dyknow or record.transformation is None:
         return moved_ports(record.ports, record.kind)
-    declared = {port.name for port in record.transformation.ports}
+    declared = {port.name for port in record.declared}
     return tuple(port for port in record.ports if port.name in declared)
 
 

@@ -219,9 +219,8 @@ class Restarts:
     def _remarks(self, before: Record) -> Iterator[str]:
         """List the parts that a restart has not kept, or not renewed."""
         after = self._graph.get(before.name)
-        assert before.transformation is not None and after.transformation is not None
-        present = {port.name for port in after.transformation.ports}
-        for port in before.transformation.ports:
+        present = {port.name for port in after.declared}
+        for port in before.declared:
             if port.name not in present:
                 topic = before.topics.get(port.name)
                 tail = f", and its connection to {topic} with it" if topic else ""

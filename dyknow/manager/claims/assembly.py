@@ -78,10 +78,6 @@ class _Supply(NamedTuple):
     tags: tuple[Term, ...]  # the tags of its messages, as far as they are certain
     datatype: str  # ROS type of its messages
 
-    @property
-    def port(self) -> str:
-        return self.source.port
-
 
 class Assembly(Transaction):
     """One plan that is carried out for a claim."""
@@ -138,7 +134,7 @@ class Assembly(Transaction):
         name = claim.goal[0]
         wiring, sources = self._upstream(name, *self._made.values())
         if goal.nodelet:
-            wiring[goal.nodelet][goal.port] = goal.topic
+            wiring[goal.nodelet][goal.source.port] = goal.topic
         if name != goal.nodelet:
             wiring[name]["in"] = goal.topic  # of the relay
         if name:
@@ -218,7 +214,7 @@ class Assembly(Transaction):
         if claim.request.max_age > 0 and is_stamped is False:
             raise StreamTypeMismatch(claim.request.tag, STAMPED, datatype, goal.source.label)
         topic = claim.topic or goal.topic
-        name, port = goal.nodelet, goal.port
+        name, port = goal.nodelet, goal.source.port
         if not claim.topic and goal.topic in self._taken_topics() and datatype not in ANY:
             # The clients there want something else, and their stream may change.
             name, port = self._relay(goal), "out"
@@ -317,7 +313,7 @@ class Assembly(Transaction):
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
         with contextlib.ExitStack() as closing:
-            counter = self._counter(record, supply.port, closing)
+            counter = self._counter(record, supply.source.port, closing)
             begin = clock()  # earlier answers are about earlier nodelets of the name
             while not _shows_messages(next(counter), begin):
                 if clock() >= self._deadline:

@@ -165,7 +165,7 @@ class ClaimPlanner:
         then. ``lenient`` allows transformations that failed lately if nothing else will do; labels
         of ``avoid`` and nodelets of ``without`` have no part in it.
         """
-        moment = self._moment()
+        moment = self.signature(), self._table.living
         situation = self.situation(claim, avoid, without)
         answer = stamped = self._found(situation, lenient)
         if isinstance(answer, NoPlan):
@@ -284,12 +284,9 @@ class ClaimPlanner:
         found.update((e.source, e.label) for e in world.descriptions if e.source in claim.sources)
         return {part: label for part, label in found.items() if label in library}
 
-    def _moment(self) -> Hashable:
-        return self.signature(), self._table.living
-
     def still_fits(self, claim: Claim, proposal: Proposal) -> bool:
         """Whether every part that a plan uses is still there, unchanged."""
-        if proposal.moment == self._moment():
+        if proposal.moment == (self.signature(), self._table.living):
             return True
         before, now = proposal.situation, self.situation(claim)
         if isinstance(proposal.answer, NoPlan):

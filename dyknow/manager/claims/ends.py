@@ -221,9 +221,8 @@ def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
     consumers: list[tuple[Consumer, Where]] = []
     listening: list[tuple[str, Where]] = []
     has_variables = bool(record.given)
-    declared = record.transformation.ports if record.transformation is not None else ()
     seen = {port.name: port for port in record.ports}
-    ports = {port.name: port for port in declared}
+    ports = {port.name: port for port in record.declared}
     for each in record.ports:
         ports.setdefault(each.name, Port(each.name, each.direction, each.datatype))
     for port in ports.values():

@@ -80,9 +80,8 @@ class Stream:
             record = graph.find(name)
             if name == claim.monitor:
                 continue  # it judges the stream, and is no part of it
-            if record is not None and record.transformation and record.state is State.RUNNING:
-                ports = record.transformation.ports
-                outs = {port.name for port in ports if port.direction == OUT}
+            if record is not None and record.state is State.RUNNING:
+                outs = {port.name for port in record.declared if port.direction == OUT}
                 for port, topic in claim.wiring[name].items():
                     if port in outs:
                         self.topics[name, port] = topic

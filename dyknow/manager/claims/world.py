@@ -653,7 +653,6 @@ def _bound(pattern: Producer, ways: Sequence[Way]) -> Producer:
 
 def _live(record: Record) -> list[Live]:
     """List the tagged out-ports of a nodelet; an external node may not have made each."""
-    assert record.transformation is not None
     seen = {port.name: port.datatype for port in record.ports}
     return [
         Live(
@@ -665,7 +664,7 @@ def _live(record: Record) -> list[Live]:
             port.rate,
             port.latency,
         )
-        for port in record.transformation.ports
+        for port in record.declared
         if port.direction == OUT and port.tags and (port.name in seen or not record.is_described)
     ]
 

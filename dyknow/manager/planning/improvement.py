@@ -140,7 +140,8 @@ class _Solver:
                 ):
                     self._given.setdefault(node, instance)
         self._makers = makers
-        self._given_set = _set(self._given)  # sets of numbers are bits
+        #: Sets of numbers are bits.
+        self._given_set = _set(self._given)
         self._makers_of = [_set(each) for each in makers]
         self._makes = [_set(each) for each in graph.makes]
         self._needs = [_set(each) & ~self._given_set for each in graph.needs]
