@@ -13,7 +13,7 @@ between equal costs, so equal problems have equal plans.
 from __future__ import annotations
 
 import time
-from typing import AbstractSet, Callable, Iterable, Mapping, Sequence
+from typing import AbstractSet, Callable, Iterable, Mapping
 
 from dyknow.garbage import without_collection
 from dyknow.manager.planning.and_or_graph import Draft, Instance, Node, Reach
@@ -38,7 +38,6 @@ from dyknow.manager.planning.problem import (
     PlanStep,
     Source,
     Streams,
-    TaggedStream,
     Verdicts,
     Wishes,
 )
@@ -130,7 +129,7 @@ class Planner:
             refused: ROS types that the stream must not have.
         """
         library, streams = self._library, list(live)
-        charges = _charges(library, demand, streams, exclude, wishes)
+        charges = self.charges(demand, streams, exclude, wishes, library)
         request = Request(
             library, demand, streams, exclude, paused, free, charges, feeders, verdicts, refused
         )
@@ -173,10 +172,60 @@ class Planner:
         return _written(draft, least_cost, improving.is_cut_short)
 
     def charges(
-        self, demand: Demand, live: Streams, exclude: AbstractSet[str], wishes: Wishes
+        self,
+        demand: Demand,
+        live: Streams,
+        exclude: AbstractSet[str],
+        wishes: Wishes,
+        library: OperatorIndex | None = None,
     ) -> dict[str, int]:
-        """Return the charges of the parts of a plan besides their costs, by label."""
-        return _charges(self._library, demand, list(live), exclude, wishes)
+        """Return the charges of the parts that may help to meet a demand, by label.
+
+        A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
+        preferred one could supply as well is charged `NOT_PREFERRED`, unless it is preferred
+        itself. Both hold for running parts too, which cost nothing else, and for their feeders.
+        The library is that of now by default.
+        """
+        if wishes == NO_WISHES:
+            return {}
+        library, streams = library or self._library, list(live)
+        names = library.names
+        request = Request(library, demand, streams, exclude)
+        request.is_whole = True
+        tags: dict[str, set[Term]] = {}
+        for stream, terms in streams:
+            if stream.label not in exclude:
+                tags.setdefault(stream.label, set()).update(terms)
+        suppliers: list[set[str]] = []
+        for pattern in Reach(request).patterns:
+            facts = [head for head, _ in request.facts(pattern)]
+            makers = [offer.action for offer in request.offers(pattern)]
+            new = {*makers, *[head.action for head in facts if head.live is None]}
+            for action in new:
+                for head in action.heads:
+                    tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
+            suppliers.append({*[e.label for e in new], *[head.label for head in facts]})
+
+        def meant(wanted: Iterable[str]) -> frozenset[str]:
+            concepts = frozenset(map(names.canonical, wanted))
+            return frozenset(
+                label
+                for label, terms in tags.items()
+                if label in wanted
+                or any(
+                    not concepts.isdisjoint(names.above(names.canonical(name)))
+                    for term in terms
+                    for name in (term.functor, *term.args)
+                    if name not in term.variables
+                )
+            )
+
+        charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
+        preferred = meant(wishes.prefer)
+        others = {each for some in suppliers if preferred & some for each in some - preferred}
+        for label in others:
+            charges[label] = charges.get(label, 0) + NOT_PREFERRED
+        return charges
 
     @without_collection()
     def parts(
@@ -220,60 +269,6 @@ class Planner:
             for node in search.goal.answers
         ]
         return sorted(found), search.is_complete
-
-
-def _charges(
-    library: OperatorIndex,
-    demand: Demand,
-    streams: Sequence[TaggedStream],
-    exclude: AbstractSet[str],
-    wishes: Wishes,
-) -> dict[str, int]:
-    """Return the charges of the parts that may help to meet a demand, by label.
-
-    A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
-    preferred one could supply as well is charged `NOT_PREFERRED`, unless it is preferred itself.
-    Both hold for running parts too, which cost nothing else, and for their feeders.
-    """
-    if wishes == NO_WISHES:
-        return {}
-    names = library.names
-    request = Request(library, demand, streams, exclude)
-    request.is_whole = True
-    tags: dict[str, set[Term]] = {}
-    for stream, terms in streams:
-        if stream.label not in exclude:
-            tags.setdefault(stream.label, set()).update(terms)
-    suppliers: list[set[str]] = []
-    for pattern in Reach(request).patterns:
-        facts = [head for head, _ in request.facts(pattern)]
-        makers = [offer.action for offer in request.offers(pattern)]
-        new = {*makers, *[head.action for head in facts if head.live is None]}
-        for action in new:
-            for head in action.heads:
-                tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
-        suppliers.append({*[e.label for e in new], *[head.label for head in facts]})
-
-    def meant(wanted: Iterable[str]) -> frozenset[str]:
-        concepts = frozenset(map(names.canonical, wanted))
-        return frozenset(
-            label
-            for label, terms in tags.items()
-            if label in wanted
-            or any(
-                not concepts.isdisjoint(names.above(names.canonical(name)))
-                for term in terms
-                for name in (term.functor, *term.args)
-                if name not in term.variables
-            )
-        )
-
-    charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
-    preferred = meant(wishes.prefer)
-    others = {each for some in suppliers if preferred & some for each in some - preferred}
-    for label in others:
-        charges[label] = charges.get(label, 0) + NOT_PREFERRED
-    return charges
 
 
 class _Writer:
