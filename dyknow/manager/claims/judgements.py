@@ -28,7 +28,6 @@ from dyknow.manager.claims.limits import (
     Rate,
     Silence,
     Stream,
-    name_of,
 )
 from dyknow.manager.claims.requirements import Requirements
 from dyknow.manager.claims.world import World
@@ -233,7 +232,8 @@ class StreamMonitor:
         return found
 
     def _add(self, limit: Limit, stream: Stream, judgement: Judgement) -> None:
-        claim_id, name = stream.claim.claim_id, name_of(judgement.place)
+        claim_id = stream.claim.claim_id
+        name = judgement.place[0] or judgement.place[1]  # a nodelet's, or a topic's
         shortfalls = self._shortfalls.setdefault(_ALL if limit.concerns_all else claim_id, {})
         if name in shortfalls:
             return

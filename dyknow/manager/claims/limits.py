@@ -370,11 +370,6 @@ def _are_above(ages: list[float], limit: float) -> bool | None:
     return all(statistics.median(each) > limit for each in parts)
 
 
-def name_of(place: Place) -> str:
-    """Name of the nodelet, or of the topic where there is none."""
-    return place[0] or place[1]
-
-
 def described(place: Place) -> str:
     """Name a place for people."""
     return f"nodelet {place[0]}" if place[0] else f"topic {place[1]}"

@@ -228,7 +228,6 @@ class Verdicts(NamedTuple):
 
 
 NO_VERDICTS = Verdicts()
-"""No verdict is known."""
 
 
 def required_tags(
@@ -246,7 +245,6 @@ def canonical_tag(term: Term, canonical: Callable[[str], str]) -> Term:
 
 Answer = Union[Plan, NoPlan]
 NO_LABELS: frozenset[str] = frozenset()
-"""No label."""
 Free = Mapping[str, Sequence[Bindings]]
 """The labels of nodelets that can be connected elsewhere, with the bindings that each keeps."""
 NO_FREE: Free = MappingProxyType({})
