@@ -177,8 +177,7 @@ class Observer:
                 if current.state is State.RUNNING:
                     _log.warning("%s is lost: %s", current.name, why)
                     self._backoff.served(current.name, self._graph.lifetime(current.name))
-                is_starting = current.state is State.STARTING
-                state = State.STARTING if is_starting else State.LOST
+                state = State.STARTING if current.state is State.STARTING else State.LOST
                 lost.append(replace(current, state=state, detail=why))
             self._graph.put(*lost)
 

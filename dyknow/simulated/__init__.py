@@ -251,8 +251,7 @@ class SimulatedManagerClient(BaseManagerClient):
                 acquired = self.reconciler.acquire(request, dry_run)
             except DyKnowError as error:
                 raise refusal_of(error) from error
-            warnings = unknown_labels(self.core, request.exclude)
-            return self._answers.acquisition(acquired, warnings)
+            return self._answers.acquisition(acquired, unknown_labels(self.core, request.exclude))
 
     def release_stream(self, claim_id: str) -> None:
         with self._request("release_stream", claim_id):

@@ -375,8 +375,7 @@ class FakeHost(Host):
         for name in states:
             with contextlib.suppress(HostError):
                 nodelets[name] = frozenset(self.list(name))
-        crashes = {each.incarnation: each for each in self._crashes}
-        return HostReport(states, nodelets, crashes)
+        return HostReport(states, nodelets, {each.incarnation: each for each in self._crashes})
 
     def look_for(self, manager: str) -> None:
         """Do nothing: nodelet managers are known as soon as they are there."""
@@ -396,8 +395,7 @@ class FakeHost(Host):
         alive = [state.name for state in fitting if state.alive]
         if alive:
             return alive[0]
-        name = fitting[0].name if fitting else self._new_name()
-        return self._start(name, kind, isolated_for)
+        return self._start(fitting[0].name if fitting else self._new_name(), kind, isolated_for)
 
     def retire(self, manager: str) -> None:
         self._step("retire", manager)

@@ -206,8 +206,7 @@ def _is_remade(
     outdated: tuple[str, ...] = ()
     if not is_replaced:
         outdated = _otherwise_made(blueprint, nodelet, present, stored)
-    declared = frozenset(port.name for port in blueprint.ports)
-    kept = Kept(nodelet, present, outdated, declared)
+    kept = Kept(nodelet, present, outdated, frozenset(port.name for port in blueprint.ports))
     if not replace or blueprint.node or not (is_replaced or outdated):
         if present.is_fixed and kept.moves:
             plan.problems.append(str(FixedTopics(nodelet.name, present.manager)))

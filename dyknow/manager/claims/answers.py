@@ -132,8 +132,7 @@ class CheaperPlans:
             is_settled = known.offers == offers.get(claim_id) and now - known.since >= _SETTLED
             if known.way and known.way not in known.reported and is_settled:
                 self._table.report(claim_id, known.way)
-                reported = known.reported | {known.way}
-                self._compared[claim_id] = replace(known, reported=reported)
+                self._compared[claim_id] = replace(known, reported=known.reported | {known.way})
         living = {claim.claim_id for claim in self._table.living}
         self._compared = {key: each for key, each in self._compared.items() if key in living}
 

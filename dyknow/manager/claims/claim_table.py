@@ -170,8 +170,7 @@ class ClaimTable:
                 self.end(claim.claim_id, ClaimState.EXPIRED, "its lease ended", now)
 
     def _write(self, claim: Claim) -> None:
-        body = claim.body(Moment.now(self._clock))
-        self._store.write({("claims", claim.claim_id): body})
+        self._store.write({("claims", claim.claim_id): claim.body(Moment.now(self._clock))})
         with self._state_lock:
             self._claims[claim.claim_id] = claim
             self._sort()

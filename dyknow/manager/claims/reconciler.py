@@ -107,8 +107,7 @@ class StreamReconciler:
                     continue
                 answer = proposal.answer
                 if isinstance(answer, NoPlan):
-                    pending = replace(claim, topic="", detail=str(answer))
-                    self._table.add(pending, "requested")
+                    self._table.add(replace(claim, topic="", detail=str(answer)), "requested")
                     missing = answer
                     break
                 self._planner.check_goal(claim, answer)

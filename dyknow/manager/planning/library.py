@@ -416,8 +416,7 @@ class Reader:
         text = port.tags, port.datatype, tuple(wanted), tuple(types)
         found = self._by_text.get(text)
         if found is None:
-            terms = read_tags(port.tags)
-            found = pattern_of(terms, port.datatype, self._names, wanted, types)
+            found = pattern_of(read_tags(port.tags), port.datatype, self._names, wanted, types)
             found = self._patterns.setdefault(found.key, found)
             self._by_text[text] = found
         found.uses += 1

@@ -204,8 +204,7 @@ class Search:
             return self._uses_of(pattern, known)
         if subgoal.is_bound and request.is_met(pattern, first[1]):
             return (first,)
-        uses = self._uses_of(pattern, known)
-        return heapq.merge((first,), facts, uses, key=itemgetter(0))
+        return heapq.merge((first,), facts, self._uses_of(pattern, known), key=itemgetter(0))
 
     def _uses_of(self, pattern: Pattern, known: Known) -> list[_Supplier]:
         """List the actions that may supply a pattern."""

@@ -211,8 +211,7 @@ class XmlReader:
 
     def _check_size(self, size: int) -> None:
         if size > self._limits.text_size:
-            limit = self._limits.text_size
-            self._stop(0, f"the text has {size} bytes; expected at most {limit}")
+            self._stop(0, f"the text has {size} bytes; expected at most {self._limits.text_size}")
 
     @property
     def _line(self) -> int:
