@@ -279,14 +279,11 @@ class Host(ABC):
         """Count the messages that nodelets have sent; their processes are queried side by side.
 
         A process that does not answer delays this by half a second, once: until its reply has come
-        it is not waited for again.
-
-        Args:
-            wanted: names of nodelets, by process.
+        it is not waited for again. Names of nodelets are wanted by process.
 
         Returns:
-            Counts by out-port for each nodelet; None for a nodelet that is not running. Nodelets
-            without a reply yet are left out until a later call.
+        Counts by out-port for each nodelet; None for a nodelet that is not running. Nodelets
+        without a reply yet are left out until a later call.
         """
 
     @abstractmethod

@@ -95,8 +95,7 @@ class BaseManagerClient(ABC):
     def connect(self, moves: Sequence[Tuple[str, Mapping[str, str]]]) -> None:
         """Connect ports of nodelets in this order, all or none; the model shows it at once.
 
-        Args:
-            moves: names of nodelets, each with topics by port; an empty topic disconnects.
+        The moves are names of nodelets, each with topics by port; an empty topic disconnects.
         """
 
     @abstractmethod

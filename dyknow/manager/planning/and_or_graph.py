@@ -159,20 +159,15 @@ class AndOrGraph:
     def cheapest(
         self, prices: Sequence[int], use_sum: bool
     ) -> tuple[dict[Node, int], dict[Node, Instance], list[Node]]:
-        """Make all nodes as cheaply as possible at some prices, by Knuth's algorithm.
+        """Make all nodes as cheaply as possible at prices of the instances, by Knuth's algorithm.
 
         D. E. Knuth, "A generalization of Dijkstra's algorithm", Information Processing Letters
         6(1), 1977.
 
-        Args:
-            prices: of the instances.
-            use_sum: an instance costs as much as all nodes that it needs: the cost of a tree, in
-                which shared parts are paid again. Else it costs as much as the dearest of them,
-                which no plan is below.
-
-        Returns:
-            The price of each node that can be made, its maker, and the dearest node that each
-            instance needs, -1 for none.
+        With ``use_sum`` an instance costs as much as all nodes that it needs: the cost of a tree,
+        in which shared parts are paid again. Else it costs as much as the dearest of them, which
+        no plan is below. Returns the price of each node that can be made, its maker, and the
+        dearest node that each instance needs, -1 for none.
         """
         begins, users = self._users
         makes = self.makes

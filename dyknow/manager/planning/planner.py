@@ -112,21 +112,14 @@ class Planner:
     ) -> Answer:
         """Find the cheapest way to a stream.
 
-        Args:
-            demand: tags and type of the stream.
-            live: streams that exist, with their tags; they cost nothing.
-            exclude: labels that must not be used, live or new.
-            free: labels of the nodelets that can be connected elsewhere, at no cost, with the
-                bindings that each of them has to keep.
-            paused: labels of which no new nodelet is to be made; live streams and free nodelets
-                may be used.
-            budget: seconds that it may take; a plan is looked for beyond that, but then not
-                improved. It counts steps, so equal problems have equal plans; the clock ends the
-                improvement only where a step takes long.
-            wishes: preferred and avoided parts.
-            feeders: labels of the feeders of live streams, by their nodelets.
-            verdicts: those that transformations require; None to disregard them.
-            refused: ROS types that the stream must not have.
+        Streams that are ``live`` exist, and cost nothing. Labels of ``exclude`` must not be used,
+        live or new; of ``paused`` ones no new nodelet is made. Nodelets of ``free`` labels can be
+        connected elsewhere at no cost, each with bindings that it has to keep. ``feeders`` are
+        labels of the feeders of live streams, by nodelet; ``verdicts`` those that transformations
+        require, None to disregard them; ``refused`` ROS types that the stream must not have.
+
+        Beyond the budget (s) a plan is looked for, but not improved. It counts steps, so equal
+        problems have equal plans; the clock ends the improvement only where a step takes long.
         """
         library, streams = self._library, list(live)
         charges = self.charges(demand, streams, exclude, wishes, library)

@@ -35,20 +35,16 @@ class Ontology:
         language: str = "en",
         catalogues: Iterable[str] = (),
     ) -> None:
-        """Read an ontology from local files.
+        """Read an ontology from local files, whose extension is .ttl, .owl, .rdf or .nt.
 
-        Args:
-            paths: the files; the format follows from the extension: .ttl, .owl, .rdf or .nt.
-            limits: the caps on each file.
-            language: the language of the labels that are preferred as names.
-            catalogues: files that say where imported ontologies are, beside the file
-                catalog-v001.xml next to each file.
+        Labels in the language are preferred as names. The catalogues say where imported ontologies
+        are, beside the file catalog-v001.xml next to each file.
 
         Raises:
-            OntologyFileError: a file cannot be read, or is not of its extension's format.
-            LabelsError: two classes, or two individuals, have the same label, in the preferred
-                language or in none.
-            OntologyError: the language is none.
+        OntologyFileError: a file cannot be read, or is not of its extension's format.
+        LabelsError: two classes, or two individuals, have the same label, in the preferred
+        language or in none.
+        OntologyError: the language is none.
         """
         self._labels = Labels(language)
         read = OntologyFiles(paths, catalogues, limits)
