@@ -331,10 +331,8 @@ class Store:
     def _note_trouble(self, error: Exception) -> None:
         now = self._clock()
         self._retry_at = now + _RETRY
-        damaged = (
-            f"it is damaged ({self._damage}) and cannot be replaced: " if self._damage else ""
-        )
-        self.trouble = f"state file '{self.path}': {damaged}{self._meaning(error)}"
+        why = f"it is damaged ({self._damage}) and cannot be replaced: " if self._damage else ""
+        self.trouble = f"state file '{self.path}': {why}{self._meaning(error)}"
         if now >= self._remind_at:
             self._remind_at = now + _REMINDER
             _log.error(
@@ -378,9 +376,7 @@ def _open(path: str, patience: float) -> tuple[sqlite3.Connection, Rows]:
     _Damaged: the contents differ from the last write.
     """
     _make_private(path)
-    connection = sqlite3.connect(
-        path, timeout=patience, check_same_thread=False, isolation_level=None
-    )
+    connection = sqlite3.connect(path, patience, check_same_thread=False, isolation_level=None)
     try:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")

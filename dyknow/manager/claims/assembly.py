@@ -11,8 +11,8 @@ publishes on a topic of its own until it has sent its first message, then it tak
 
 from __future__ import annotations
 
-import contextlib
 import re
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import AbstractSet, Any, Iterable, Iterator, Mapping, NamedTuple
 
@@ -312,7 +312,7 @@ class Assembly(Transaction):
         record, clock = self.world.get(name), self._context.clock
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
-        with contextlib.ExitStack() as closing:
+        with ExitStack() as closing:
             counter = self._counter(record, supply.source.port, closing)
             begin = clock()  # earlier answers are about earlier nodelets of the name
             while not _shows_messages(next(counter), begin):
@@ -324,9 +324,7 @@ class Assembly(Transaction):
                     self._context.sleep(_STEP)
                 self.world = self._connector.world()
 
-    def _counter(
-        self, record: Record, port: str, closing: contextlib.ExitStack
-    ) -> Iterator[Count | None]:
+    def _counter(self, record: Record, port: str, closing: ExitStack) -> Iterator[Count | None]:
         """Count the messages of an out-port; a lazy C++ nodelet sends only to subscribers."""
         host = self._manager.host
         if not record.kind.is_written_for_dyknow:

@@ -173,9 +173,7 @@ class StreamMonitor:
     def fell(self, record: Record, cause: str = "") -> None:
         """Count a nodelet's death, or silence, against its transformation, once for a cause."""
         lifetime = self._graph.lifetime(record.name)
-        flows = [
-            flow for (name, _), flow in list(self._meter.flows.items()) if name == record.name
-        ]
+        flows = [flow for (name, _), flow in [*self._meter.flows.items()] if name == record.name]
         silences = [flow.silence if flow.begun else lifetime for flow in flows]
         self._failures.served(record.label, lifetime)
         served = max(0.0, lifetime - max(silences, default=0.0))

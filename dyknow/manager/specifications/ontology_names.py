@@ -126,11 +126,8 @@ class Labels:
         """Return entities with labels in several languages, none of them preferred."""
         for entity in entities:
             labels = self.of(entity)
-            if (
-                labels
-                and not self.is_preferred(labels[0])
-                and labels[0].language != labels[-1].language
-            ):
+            languages = {label.language for label in labels}
+            if len(languages) > 1 and not self.is_preferred(labels[0]):
                 yield entity, labels
 
 
