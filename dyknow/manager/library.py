@@ -170,8 +170,7 @@ class Library:
 
     def _check_nodes(self, new: Transformations, file_name: str) -> None:
         """Check that no node is described twice."""
-        nodes = self.nodes()
-        present = [(each, nodes.get(each.node)) for each in new.values() if each.node]
+        present = [(each, self.nodes().get(each.node)) for each in new.values() if each.node]
         problems = [
             Problem(
                 file_name,

@@ -267,8 +267,8 @@ class StreamReconciler:
             self._collector.disconnect()
             attempt("judging streams", partial(self._monitor.read, self._repair.hold()), _log)
             self._repair.forget_ended()
-            # A lost part that a client listens to is replaced where that client listens. Claims
-            # that use this claim's stream come behind it: they follow, without a relay.
+            # Claims that use another claim's stream come behind that one: a lost part that its
+            # client listens to is replaced where that listens, and they follow, without a relay.
             for claim in sorted(self._table.living, key=lambda each: len(each.nodelets)):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
