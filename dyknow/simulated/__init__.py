@@ -94,10 +94,18 @@ class SimulatedManagerClient(BaseManagerClient):
         on_event: called in the same way with each event of a claim.
     """
 
-    def __init__(self, clock: Clock = STEADY) -> None:
-        """Make a manager without transformations, on a host that runs every source."""
+    def __init__(
+        self,
+        host: FakeHost | None = None,
+        clock: Clock = STEADY,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        """Make a manager without transformations, by default on a host that runs every source.
+
+        ``now`` returns the seconds on the clock of those who read when a lease ends.
+        """
         self.manager = "/dyknow_manager"
-        self.host = SimulatedHost()
+        self.host = host or SimulatedHost()
         self.is_up = True
         self.answers = threading.Event()
         self.answers.set()
@@ -122,7 +130,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.core.start()
         self._loop.add("observe", self.core.look, 0.0)
         self._loop.add("reconcile", self.reconciler.work, 0.0)
-        self._answers = StreamAnswers(time.time, clock.now)
+        self._answers = StreamAnswers(now, clock.now)
 
     def alter(self, name: str, **fields: object) -> None:
         """Show other fields of a nodelet, such as a ``state``, for as long as it is there."""
@@ -157,7 +165,8 @@ class SimulatedManagerClient(BaseManagerClient):
     def add_transformation(self, specification: str) -> Added:
         with self._request("add_transformation", specification):
             found = self.core.add_transformation(specification)
-            self.host.learn(found.transformations)
+            if isinstance(self.host, SimulatedHost):
+                self.host.learn(found.transformations)
             labels = tuple(sorted({each.label for each in found.transformations}))
             return Added(labels, "\n".join(map(str, found.warnings)))
 
@@ -283,10 +292,7 @@ class SimulatedManagerClient(BaseManagerClient):
     @contextlib.contextmanager
     def _request(self, method: str, subject: str = "") -> Iterator[None]:
         """Answer as a manager of the ROS graph does."""
-        self.calls.append((method, subject))
-        self.answers.wait()
-        if not self.is_up:
-            raise HostError(f"service {self.manager}/{method} is not there")
+        self._note(method, subject)
         with self._turn:
             try:
                 yield
@@ -294,6 +300,12 @@ class SimulatedManagerClient(BaseManagerClient):
                 raise
             except DyKnowError as error:
                 raise Refused(str(error)) from error
+
+    def _note(self, method: str, subject: str) -> None:
+        self.calls.append((method, subject))
+        self.answers.wait()
+        if not self.is_up:
+            raise HostError(f"service {self.manager}/{method} is not there")
 
     def _ports(self, nodelet: str) -> tuple[PortState, ...]:
         self._check_runs(nodelet)
