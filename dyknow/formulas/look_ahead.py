@@ -12,6 +12,7 @@ move truths between states. A state is decided where least and greatest agree.
 
 from __future__ import annotations
 
+from operator import lshift, rshift
 from typing import Callable, List, Sequence, Tuple
 
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
@@ -19,6 +20,9 @@ from dyknow.formulas.tree import FUTURE, Binary, Node, Unary, children, temporal
 
 Bits = Callable[[bool, bool], int]
 """Returns the bits of a formula: certain or possible, greatest or least."""
+
+Move = Callable[[int, int], int]
+"""Brings each state the bit of a later one (``rshift``), or of an earlier one (``lshift``)."""
 
 _EVERYWHERE = -1
 
@@ -143,13 +147,13 @@ class LookAhead:
             right = _not(right)
         near, far = steps(formula.interval, self._period)
         if is_future:
-            found = _until(left, right, near, far or 0)
+            found = _reached(left, right, near, far or 0, rshift)
         elif far is None:
             recall = _Recall(left, right, back, lambda: self._states + self._horizon)
             self._recalled.append(recall)
             found, back = _after(left, recall.bits, near), back + near
         else:
-            found, back = _since(left, right, near, far), back + far
+            found, back = _reached(left, right, near, far, lshift), back + far
         return _not(found) if is_all else found, back
 
     def _leaf_bits(self, number: int) -> Bits:
@@ -215,28 +219,17 @@ def _not(bits: Bits) -> Bits:
     return lambda certain, greatest: ~bits(not certain, not greatest)
 
 
-def _until(left: Bits, right: Bits, near: int, far: int) -> Bits:
+def _reached(left: Bits, right: Bits, near: int, far: int, move: Move) -> Bits:
+    """``right`` holds ``near`` to ``far`` states away, and ``left`` in all states before that."""
+
     def bits(certain: bool, greatest: bool) -> int:
         p, q = left(certain, greatest), right(certain, greatest)
         found, done, width = q, 1, far - near + 1
         while done < width:
             more = min(done, width - done)
-            found |= _all_ahead(p, more) & (found >> more)
+            found |= _all(p, more, move) & move(found, more)
             done += more
-        return _all_ahead(p, near) & (found >> near)
-
-    return bits
-
-
-def _since(left: Bits, right: Bits, near: int, far: int) -> Bits:
-    def bits(certain: bool, greatest: bool) -> int:
-        p, q = left(certain, greatest), right(certain, greatest)
-        found, done, width = q, 1, far - near + 1
-        while done < width:
-            more = min(done, width - done)
-            found |= _all_back(p, more) & (found << more)
-            done += more
-        return _all_back(p, near) & (found << near)
+        return _all(p, near, move) & move(found, near)
 
     return bits
 
@@ -245,30 +238,18 @@ def _after(left: Bits, inner: Bits, near: int) -> Bits:
     """``near`` states after ``inner``, if ``left`` has held since."""
     if not near:
         return inner
-    return lambda certain, greatest: _all_back(left(certain, greatest), near) & (
+    return lambda certain, greatest: _all(left(certain, greatest), near, lshift) & (
         inner(certain, greatest) << near
     )
 
 
-def _all_ahead(bits: int, width: int) -> int:
-    """Where ``bits`` holds in a state and the ones after it, ``width`` in all."""
+def _all(bits: int, width: int, move: Move) -> int:
+    """Where ``bits`` holds in ``width`` states: each and the ones that ``move`` brings there."""
     if bits == _EVERYWHERE or not width:
         return _EVERYWHERE
-    found, done = bits, 1
+    broken, done = ~bits, 1  # states before the first one break nothing
     while done < width:
         more = min(done, width - done)
-        found &= found >> more
+        broken |= move(broken, more)
         done += more
-    return found
-
-
-def _all_back(bits: int, width: int) -> int:
-    """Where ``bits`` holds in a state and the ones before it, ``width`` in all."""
-    if bits == _EVERYWHERE or not width:
-        return _EVERYWHERE
-    found, done = ~bits, 1  # states before the first one break nothing
-    while done < width:
-        more = min(done, width - done)
-        found |= found << more
-        done += more
-    return ~found
+    return ~broken
