@@ -16,29 +16,11 @@ from collections import Counter, deque
 from functools import lru_cache
 from typing import Any, Callable, List, Optional, Sequence, Tuple, Union
 
+from dyknow.formulas import tree
 from dyknow.formulas.look_ahead import LookAhead, horizon, looks_ahead
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
-from dyknow.formulas.tree import (
-    OF_PORTS,
-    Arithmetic,
-    Atom,
-    Binary,
-    Call,
-    Constant,
-    Expression,
-    Field,
-    Node,
-    Proposition,
-    Quantified,
-    Unary,
-    is_endless,
-    operands,
-    outermost,
-    readings,
-    walk,
-)
 
-Input = Union[Field, Call, Quantified]
+Input = Union[tree.Field, tree.Call, tree.Quantified]
 """An argument of the function: a port's message, ``age`` and its like, a quantifier's truth."""
 
 Note = Callable[[int, int], None]
@@ -63,13 +45,13 @@ class Evaluator:
 
     __slots__ = ("atoms", "horizon", "inputs", "step")
 
-    def __init__(self, formula: Node, period: int, note: Note | None = None) -> None:
+    def __init__(self, formula: tree.Node, period: int, note: Note | None = None) -> None:
         """Compile a formula for states that are ``period`` nanoseconds apart."""
         formula, _ = endless(formula)
         writer = _Writer(period, note is not None)
         result = writer.formula(formula)
         self.inputs: Tuple[Input, ...] = tuple(writer.inputs)
-        self.atoms: Tuple[Atom, ...] = tuple(writer.atoms)
+        self.atoms: Tuple[tree.Atom, ...] = tuple(writer.atoms)
         self.horizon = horizon(formula, period)
         decided = f"ahead({', '.join(writer.leaves)})" if writer.leaves else f"decided[{result}]"
         make = _compile(writer.source(decided))
@@ -86,18 +68,18 @@ class AtomReader:
         parts: the atoms and quantifiers whose truths ``step`` returns, in their order.
     """
 
-    def __init__(self, formula: Node, period: int, note: Note | None = None) -> None:
+    def __init__(self, formula: tree.Node, period: int, note: Note | None = None) -> None:
         """Compile the atoms of a formula for states that are ``period`` nanoseconds apart."""
         writer = _Writer(period, note is not None)
-        self.parts = tuple(dict.fromkeys(outermost(formula)))
+        self.parts = tuple(dict.fromkeys(tree.outermost(formula)))
         names = ", ".join(map(writer.formula, self.parts))
         self.inputs: Tuple[Input, ...] = tuple(writer.inputs)
-        self.atoms: Tuple[Atom, ...] = tuple(writer.atoms)
+        self.atoms: Tuple[tree.Atom, ...] = tuple(writer.atoms)
         make = _compile(writer.source(f"({names},)"))
         self.step: Callable[..., Sequence[int]] = make(note, None, *writer.constants)
 
 
-def endless(formula: Node) -> Tuple[Node, Tuple[int, ...]]:
+def endless(formula: tree.Node) -> Tuple[tree.Node, Tuple[int, ...]]:
     """Return a formula without an outermost ``always`` or ``eventually`` that has no bounds.
 
     It is about the whole sequence: once it is decided, all later states agree. So the same
@@ -106,11 +88,11 @@ def endless(formula: Node) -> Tuple[Node, Tuple[int, ...]]:
     Returns:
         The formula to evaluate, and the truths that are verdicts.
     """
-    if not (isinstance(formula, Unary) and is_endless(formula)):
+    if not (isinstance(formula, tree.Unary) and tree.is_endless(formula)):
         return formula, (FALSE, UNKNOWN, TRUE)
     if formula.operator == "always":
-        return Unary("historically", formula.operand), (FALSE,)
-    return Unary("once", formula.operand), (TRUE,)
+        return tree.Unary("historically", formula.operand), (FALSE,)
+    return tree.Unary("once", formula.operand), (TRUE,)
 
 
 @lru_cache(maxsize=256)
@@ -126,7 +108,7 @@ class _Writer:
 
     def __init__(self, period: int, notes: bool) -> None:
         self.inputs: List[Input] = []
-        self.atoms: List[Atom] = []
+        self.atoms: List[tree.Atom] = []
         self.constants: List[object] = []
         self.leaves: List[str] = []
         self.look_ahead: Optional[LookAhead] = None
@@ -135,8 +117,8 @@ class _Writer:
         self._state: List[str] = []
         self._rare: List[str] = []
         self._lines: List[str] = []
-        self._texts: dict[Node, str] = {}
-        self._uses: Counter[Node] = Counter()
+        self._texts: dict[tree.Node, str] = {}
+        self._uses: Counter[tree.Node] = Counter()
         self._count = 0
 
     def source(self, decided: str) -> str:
@@ -152,28 +134,28 @@ class _Writer:
         lines += [f"        return {decided}", "    return step"]
         return "\n".join(lines)
 
-    def formula(self, formula: Node) -> str:
+    def formula(self, formula: tree.Node) -> str:
         """Write the code of a formula's truth; returns the expression that has it."""
-        self._uses.update(walk(formula))
+        self._uses.update(tree.walk(formula))
         if looks_ahead(formula):
             self.look_ahead = LookAhead(formula, self._period, self._leaf)
             return ""
         return self._truth(formula)
 
-    def _leaf(self, formula: Node) -> int:
+    def _leaf(self, formula: tree.Node) -> int:
         """Compute a part that ``LookAhead`` takes as it is; returns its number."""
         name = self._named(self._truth(formula))
         if name not in self.leaves:
             self.leaves.append(name)
         return self.leaves.index(name)
 
-    def _truth(self, formula: Node) -> str:
+    def _truth(self, formula: tree.Node) -> str:
         if formula not in self._texts:
-            if isinstance(formula, Unary):
+            if isinstance(formula, tree.Unary):
                 text = self._unary(formula)
-            elif isinstance(formula, Binary):
+            elif isinstance(formula, tree.Binary):
                 text = self._binary(formula)
-            elif isinstance(formula, Quantified):
+            elif isinstance(formula, tree.Quantified):
                 text = self._input(formula)
             else:
                 text = self._atom(formula)
@@ -182,7 +164,7 @@ class _Writer:
 
     # Operators
 
-    def _unary(self, formula: Unary) -> str:
+    def _unary(self, formula: tree.Unary) -> str:
         operand = self._truth(formula.operand)
         if formula.operator == "not":
             return f"negated[{operand}]"
@@ -209,7 +191,7 @@ class _Writer:
             return f"(3 if {possible} < n else 1 if {certain} < n else 0)"
         return f"(0 if {possible} < n else 1 if {certain} < n else 3)"
 
-    def _binary(self, formula: Binary) -> str:
+    def _binary(self, formula: tree.Binary) -> str:
         left, right = self._truth(formula.left), self._truth(formula.right)
         if formula.operator == "since":
             return self._since(formula, left, right)
@@ -218,7 +200,7 @@ class _Writer:
         left, right = self._named(left), self._named(right)
         return f"(3 if {left} == 0 else {right} if {left} == 3 else {right} | 1)"
 
-    def _since(self, formula: Binary, left: str, right: str) -> str:
+    def _since(self, formula: tree.Binary, left: str, right: str) -> str:
         """Write ``since``: a state with the right side lasts until its end, or the left side's."""
         near, far = steps(formula.interval, self._period)
         if near:
@@ -253,13 +235,13 @@ class _Writer:
 
     # Atoms
 
-    def _atom(self, atom: Atom) -> str:
+    def _atom(self, atom: tree.Atom) -> str:
         """Write an atom, UNKNOWN if an input is, and note its changes."""
         name, number = self._new(), len(self.atoms)
         self.atoms.append(atom)
-        texts = [self._expression(each) for each in operands(atom)]
-        inputs = sorted({self._input(_whole(each)) for each in readings(atom)})
-        if isinstance(atom, Proposition):
+        texts = [self._expression(each) for each in tree.operands(atom)]
+        inputs = sorted({self._input(_whole(each)) for each in tree.readings(atom)})
+        if isinstance(atom, tree.Proposition):
             (text,) = texts
             if text not in inputs:
                 self._lines += [f"try: x = {text}", "except ERRORS: x = None"]
@@ -282,7 +264,7 @@ class _Writer:
             ]
             # Times and durations, which are compared with numbers in seconds, and missing ones: a
             # difference is exact if it is of times, and some sums are of seconds alone.
-            in_seconds = [self._expression(each, "seconds") for each in operands(atom)]
+            in_seconds = [self._expression(each, "seconds") for each in tree.operands(atom)]
             compared = _AS_SECONDS.get(atom.operator, compared)
             self._rare += [
                 f"def rare{number}({given}):",
@@ -300,21 +282,21 @@ class _Writer:
             ]
         return name
 
-    def _expression(self, expression: Expression, around: str = "") -> str:
+    def _expression(self, expression: tree.Expression, around: str = "") -> str:
         """Write an expression, its fields each as the argument of a function."""
-        if isinstance(expression, Field):
-            port = self._input(Field(expression.port))
+        if isinstance(expression, tree.Field):
+            port = self._input(tree.Field(expression.port))
             path = (f"[{s}]" if isinstance(s, int) else f".{s}" for s in expression.path)
             return f"{around}({port}{''.join(path)})" if around else port + "".join(path)
-        if isinstance(expression, Constant):
+        if isinstance(expression, tree.Constant):
             names = self._constant(expression.names)
             return f"constant({self._expression(expression.owner)}, {names})"
-        if isinstance(expression, Arithmetic):
+        if isinstance(expression, tree.Arithmetic):
             sides = (expression.left, expression.right)
             left, right = (self._expression(each, around) for each in sides)
             return f"({left} {expression.operator} {right})"
-        if isinstance(expression, Call):
-            if expression.function in OF_PORTS:
+        if isinstance(expression, tree.Call):
+            if expression.function in tree.OF_PORTS:
                 return self._input(expression)
             given = (self._expression(each, around) for each in expression.arguments)
             arguments = ", ".join(given)
@@ -369,8 +351,8 @@ _AS_SECONDS = {
 _FUNCTIONS = {"min": "least", "max": "greatest"}
 
 
-def _whole(reading: Union[Field, Call]) -> Union[Field, Call]:
-    return Field(reading.port) if isinstance(reading, Field) else reading
+def _whole(reading: Union[tree.Field, tree.Call]) -> Union[tree.Field, tree.Call]:
+    return tree.Field(reading.port) if isinstance(reading, tree.Field) else reading
 
 
 def _seconds(value: Any) -> Any:

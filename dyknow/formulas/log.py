@@ -13,6 +13,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Callable, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
+from dyknow.formulas import tree
 from dyknow.formulas.semantics import (
     FALSE,
     NOT,
@@ -22,18 +23,6 @@ from dyknow.formulas.semantics import (
     steps,
     truth,
     window,
-)
-from dyknow.formulas.tree import (
-    FUTURE,
-    Atom,
-    Binary,
-    Node,
-    Operator,
-    Quantified,
-    Unary,
-    children,
-    temporal,
-    walk,
 )
 
 #: Most truths that are computed in order to explain one verdict.
@@ -80,10 +69,10 @@ class Log:
 
     def __init__(
         self,
-        formula: Node,
+        formula: tree.Node,
         period: int,
-        atoms: Sequence[Atom],
-        individuals: Callable[[Quantified, int], Iterable[Tuple[str, Log, int]]],
+        atoms: Sequence[tree.Atom],
+        individuals: Callable[[tree.Quantified, int], Iterable[Tuple[str, Log, int]]],
     ) -> None:
         """Make a log without entries.
 
@@ -127,19 +116,19 @@ class Log:
             while len(changes) > 1 and changes[1].state <= oldest:
                 changes.pop(0)
 
-    def atom(self, atom: Atom, state: int) -> int:
+    def atom(self, atom: tree.Atom, state: int) -> int:
         return self._change(atom, state).truth
 
-    def individuals(self, formula: Quantified, state: int) -> Iterator[Tuple[Trace, int]]:
+    def individuals(self, formula: tree.Quantified, state: int) -> Iterator[Tuple[Trace, int]]:
         return ((log, number) for _, log, number in self._those(formula, state))
 
-    def _those(self, formula: Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
+    def _those(self, formula: tree.Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
         """Yield the individuals of a state, whose truths are counted with the formula's."""
         for name, log, number in self._named(formula, state):
             log._patience = self._patience
             yield name, log, number
 
-    def _change(self, atom: Atom, state: int) -> ChangedValue:
+    def _change(self, atom: tree.Atom, state: int) -> ChangedValue:
         if state < self._oldest:
             return _FORGOTTEN
         changes = self._changes[self._atoms.index(atom)]
@@ -161,36 +150,36 @@ class Log:
         """Yield the values of all atoms in a state."""
         for atom in self._atoms:
             yield from self._change(atom, state).values
-        for each in walk(self._formula):
-            if isinstance(each, Quantified):
+        for each in tree.walk(self._formula):
+            if isinstance(each, tree.Quantified):
                 for name, log, number in self._named(each, state):
                     yield from (f"{name}: {value}" for value in log._values(number))
 
-    def _reasons(self, formula: Node, state: int, value: int) -> Iterator[str]:
+    def _reasons(self, formula: tree.Node, state: int, value: int) -> Iterator[str]:
         """Yield what made a formula have a truth in a state."""
         if state >= self._seen:
             return
-        if isinstance(formula, Quantified):
+        if isinstance(formula, tree.Quantified):
             for name, log, number in self._those(formula, state):
                 if truth(formula.operand, number, log) == value:
                     for each in log._reasons(formula.operand, number, value):
                         yield f"{name}: {each}"
-        elif not isinstance(formula, (Unary, Binary)):
+        elif not isinstance(formula, (tree.Unary, tree.Binary)):
             yield from self._change(formula, state).values
         elif formula.operator == "not":
-            yield from self._reasons(children(formula)[0], state, NOT[value])
-        elif temporal(formula) is not None:
+            yield from self._reasons(tree.children(formula)[0], state, NOT[value])
+        elif tree.temporal(formula) is not None:
             yield from self._elsewhere(formula, state, value)
-        elif isinstance(formula, Binary):
+        elif isinstance(formula, tree.Binary):
             yield from self._parts(formula, state, value)
 
-    def _parts(self, formula: Binary, state: int, value: int) -> Iterator[str]:
+    def _parts(self, formula: tree.Binary, state: int, value: int) -> Iterator[str]:
         """One part decides if it is the least of ``and`` or the greatest of ``or``; else both."""
         left = formula.left
         if formula.operator == "implies":
-            left = Unary("not", left)
+            left = tree.Unary("not", left)
         alone = FALSE if formula.operator == "and" else TRUE
-        found: List[Tuple[Node, int]] = []
+        found: List[Tuple[tree.Node, int]] = []
         for part in (left, formula.right):
             each = truth(part, state, self)
             if each == value == alone:
@@ -201,17 +190,17 @@ class Log:
         for part, each in [pair for pair in found if pair[1] == value] or found:
             yield from self._reasons(part, state, each)
 
-    def _elsewhere(self, formula: Operator, state: int, value: int) -> Iterator[str]:
+    def _elsewhere(self, formula: tree.Operator, state: int, value: int) -> Iterator[str]:
         """Of the states that an operator looks at, the nearest one with the truth decides."""
-        part = children(formula)[-1]
+        part = tree.children(formula)[-1]
         found = window(formula.operator, formula.interval, state, self)
-        if isinstance(formula, Binary) and value != TRUE:
+        if isinstance(formula, tree.Binary) and value != TRUE:
             broken = self._broken(formula, state, value, found)
             if broken is not None:
                 yield from self._reasons(formula.left, broken, value)
                 return
         chosen = None
-        for each in found if formula.operator in FUTURE else reversed(found):
+        for each in found if formula.operator in tree.FUTURE else reversed(found):
             if each >= self._seen:
                 break
             if truth(part, each, self) == value:
@@ -219,14 +208,14 @@ class Log:
                 break
         if chosen is None and found.stop > self._seen:
             yield "no later state"
-        elif chosen is None and isinstance(formula, Binary):
+        elif chosen is None and isinstance(formula, tree.Binary):
             yield from self._reasons(formula.left, state, value)
         else:
             yield from self._reasons(part, state if chosen is None else chosen, value)
 
-    def _broken(self, formula: Binary, state: int, value: int, found: range) -> int | None:
+    def _broken(self, formula: tree.Binary, state: int, value: int, found: range) -> int | None:
         """Return the state whose left side rules out all states beyond it; None without one."""
-        way = 1 if formula.operator in FUTURE else -1
+        way = 1 if formula.operator in tree.FUTURE else -1
         end = (found[-1] if way > 0 else found[0]) if found else state
         for each in range(state, end, way):
             if each >= self._seen or (each in found and truth(formula.right, each, self)):
@@ -236,10 +225,10 @@ class Log:
         return None
 
 
-def reach(formula: Node, period: int) -> int:
+def reach(formula: tree.Node, period: int) -> int:
     """Return how many states a formula looks back; without bounds it is only its lower one."""
-    back = max((reach(each, period) for each in children(formula)), default=0)
-    operator = temporal(formula)
+    back = max((reach(each, period) for each in tree.children(formula)), default=0)
+    operator = tree.temporal(formula)
     if operator is not None:
         near, far = steps(operator.interval, period)
         back += near if far is None else far

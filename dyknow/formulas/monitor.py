@@ -9,29 +9,19 @@ import enum
 from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.errors import BadParameter, FormulaError
-from dyknow.formulas import syntax
+from dyknow.formulas import syntax, tree
 from dyknow.formulas.compiler import endless
 from dyknow.formulas.look_ahead import looks_ahead
 from dyknow.formulas.precision import narrowed
 from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
-from dyknow.formulas.tree import (
-    SECOND,
-    Call,
-    Quantified,
-    atoms,
-    ports,
-    readings,
-    temporals,
-    walk,
-)
 from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
 
 #: Most states that bounds may span.
 MAX_STATES = 1_000_000
 #: Nanoseconds ahead of the clock up to which all messages are kept: a source's clock may differ.
-_AHEAD = 10 * SECOND
+_AHEAD = 10 * tree.SECOND
 
 
 class Truth(enum.IntEnum):
@@ -85,7 +75,7 @@ class Formula:
         """
         self.text = text
         self.tree = syntax.parse(text)
-        self.ports = ports(self.tree)
+        self.ports = tree.ports(self.tree)
         own = own_ports(self.tree)
         self.of_individuals = tuple(port for port in self.ports if port not in own)
 
@@ -95,7 +85,9 @@ class Formula:
     @property
     def variables(self) -> Tuple[str, ...]:
         """The variables of its quantifiers, in the order written."""
-        found = [each.variable for each in walk(self.tree) if isinstance(each, Quantified)]
+        found = [
+            each.variable for each in tree.walk(self.tree) if isinstance(each, tree.Quantified)
+        ]
         return tuple(dict.fromkeys(found))
 
     def ranges(self) -> Mapping[str, Range]:
@@ -146,21 +138,21 @@ class Formula:
             if not 0 <= value < 2**31 or (name == "period" and value < 1e-6):
                 raise BadParameter(name, value, f"seconds below {2**31}")
         settings = StateSettings(
-            max(1, round(period * SECOND)),
-            None if hold is None else round(hold * SECOND),
-            round(delay * SECOND),
+            max(1, round(period * tree.SECOND)),
+            None if hold is None else round(hold * tree.SECOND),
+            round(delay * tree.SECOND),
             exact,
             max_nodes,
         )
         self._check_bounds(settings.period)
-        for each in walk(self.tree) if exact else ():
-            if isinstance(each, Quantified) and looks_ahead(each.operand):
+        for each in tree.walk(self.tree) if exact else ():
+            if isinstance(each, tree.Quantified) and looks_ahead(each.operand):
                 problem = "exact cannot reason about a quantifier that looks ahead"
                 raise FormulaError(self.text, each.place, problem)
         return Monitor(self, settings)
 
     def _check_bounds(self, period: int) -> None:
-        for each in temporals(endless(self.tree)[0]):
+        for each in tree.temporals(endless(self.tree)[0]):
             near, far = steps(each.interval, period)
             if far is not None and far < near:
                 problem = f"no state lies within {each.interval}: states are "
@@ -169,9 +161,9 @@ class Formula:
                 problem = f"{each.interval} are {max(near, far or 0)} states of "
                 problem += f"{clock(period)} s: at most {MAX_STATES}"
                 raise FormulaError(self.text, each.place, problem)
-        for atom in atoms(self.tree):
-            for call in readings(atom):
-                if isinstance(call, Call) and call.function == "rate":
+        for atom in tree.atoms(self.tree):
+            for call in tree.readings(atom):
+                if isinstance(call, tree.Call) and call.function == "rate":
                     states = rate_states(call, period)
                     if states > MAX_STATES:
                         problem = f"{call} counts over {states} states of "
@@ -277,7 +269,7 @@ class Monitor:
         """ROS time, in seconds, after which ``advance`` closes a state; None without states."""
         if self._next is None:
             return None
-        return (self._next * self._settings.period + self._settings.delay) / SECOND
+        return (self._next * self._settings.period + self._settings.delay) / tree.SECOND
 
     def individuals(self, variable: str, names: Iterable[str], now: Any) -> List[Verdict]:
         """Have these individuals of a variable from now on, as ``("?c", ["left"], now)``."""
@@ -367,7 +359,7 @@ def nanoseconds(time: Any) -> int:
     """Return a time in nanoseconds: one of ROS, or a number of seconds."""
     if hasattr(time, "to_nsec"):
         return int(time.to_nsec())
-    return int(round(time * SECOND))
+    return int(round(time * tree.SECOND))
 
 
 def _stamp(message: Any) -> Optional[int]:

@@ -12,26 +12,13 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
+from dyknow.formulas import tree
 from dyknow.formulas.compiler import Evaluator, Input
 from dyknow.formulas.exact import ExactEvaluator
 from dyknow.formulas.log import Log
 from dyknow.formulas.look_ahead import looks_ahead
 from dyknow.formulas.precision import Single, original
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN
-from dyknow.formulas.tree import (
-    SECOND,
-    Call,
-    Field,
-    Node,
-    Number,
-    Quantified,
-    atoms,
-    outermost,
-    port_of,
-    ports,
-    readings,
-    walk,
-)
 
 #: Seconds over which ``rate`` counts messages, unless the formula says otherwise.
 RATE_WINDOW = 2.0
@@ -49,16 +36,16 @@ class StateSettings(NamedTuple):
         max_nodes: most decisions that this keeps at a time.
     """
 
-    period: int = SECOND // 10
+    period: int = tree.SECOND // 10
     hold: Optional[int] = None
-    delay: int = SECOND // 10
+    delay: int = tree.SECOND // 10
     is_exact: bool = False
     max_nodes: int = 1000
 
 
 def clock(nanoseconds: int) -> str:
     """Write a time in seconds, with milliseconds."""
-    return f"{nanoseconds // SECOND}.{nanoseconds % SECOND // 1_000_000:03d}"
+    return f"{nanoseconds // tree.SECOND}.{nanoseconds % tree.SECOND // 1_000_000:03d}"
 
 
 class PortValues:
@@ -133,7 +120,7 @@ class States:
 
     def __init__(
         self,
-        formula: Node,
+        formula: tree.Node,
         settings: StateSettings,
         first: int,
         shared: Mapping[str, PortValues] | None = None,
@@ -155,16 +142,18 @@ class States:
         self.own = {
             port: PortValues(
                 rate_states(each, period)
-                for atom in atoms(formula)
-                for each in readings(atom)
-                if isinstance(each, Call) and each.function == "rate" and port_of(each) == port
+                for atom in tree.atoms(formula)
+                for each in tree.readings(atom)
+                if isinstance(each, tree.Call)
+                and each.function == "rate"
+                and tree.port_of(each) == port
             )
             for port in own_ports(formula)
             if port not in (shared or {})
         }
         self.ports = {**shared, **self.own} if shared else self.own
-        quantified = [each for each in walk(formula) if isinstance(each, Quantified)]
-        self.quantifiers: Mapping[Quantified, Individuals] = _NONE
+        quantified = [each for each in tree.walk(formula) if isinstance(each, tree.Quantified)]
+        self.quantifiers: Mapping[tree.Quantified, Individuals] = _NONE
         if quantified:
             self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}
         self.evaluator: Evaluator | ExactEvaluator
@@ -194,7 +183,7 @@ class States:
         truths: List[int] = []
         for _ in range(self.evaluator.horizon):
             inputs = (
-                self.quantifiers[each].end() if isinstance(each, Quantified) else None
+                self.quantifiers[each].end() if isinstance(each, tree.Quantified) else None
                 for each in self.evaluator.inputs
             )
             truths += self.evaluator.step(*inputs)
@@ -219,30 +208,30 @@ class States:
 
     def _value(self, wanted: Input, now: int) -> Any:
         """Return an input of the evaluator in the state that closes."""
-        if isinstance(wanted, Field):
+        if isinstance(wanted, tree.Field):
             port = self.ports[wanted.port]
             if port.stamp is None:
                 return None
             hold = self._settings.hold
             return port.message if hold is None or now - port.stamp <= hold else None
-        if isinstance(wanted, Quantified):
+        if isinstance(wanted, tree.Quantified):
             return self.quantifiers[wanted].close(self._state)
         return self._called(wanted, now)
 
-    def _called(self, wanted: Call, now: int) -> Any:
+    def _called(self, wanted: tree.Call, now: int) -> Any:
         """Return what ``present``, ``age`` or ``rate`` is now."""
-        port = self.ports[port_of(wanted)]
+        port = self.ports[tree.port_of(wanted)]
         if wanted.function == "present":
-            return self._value(Field(port_of(wanted)), now) is not None
+            return self._value(tree.Field(tree.port_of(wanted)), now) is not None
         if wanted.function == "age":
-            return None if port.stamp is None else (now - port.stamp) / SECOND
+            return None if port.stamp is None else (now - port.stamp) / tree.SECOND
         states = rate_states(wanted, self._settings.period)
         count = port.count(states)
-        return None if count is None else count * SECOND / (states * self._settings.period)
+        return None if count is None else count * tree.SECOND / (states * self._settings.period)
 
     # The log
 
-    def _named(self, formula: Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
+    def _named(self, formula: tree.Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
         for name, each in sorted(self.quantifiers[formula].present.items()):
             if each.first <= self.first + state:
                 yield name, each.log, self.first + state - each.first
@@ -252,18 +241,18 @@ class States:
         if self._is_over:
             return
         atom = self.evaluator.atoms[number]
-        values = tuple(self._reading(each) for each in readings(atom))
+        values = tuple(self._reading(each) for each in tree.readings(atom))
         self.log.note(number, self._state - self.first, truth, values)
 
-    def _reading(self, reading: Field | Call) -> str:
+    def _reading(self, reading: tree.Field | tree.Call) -> str:
         now = self._state * self._settings.period
-        if isinstance(reading, Call):
+        if isinstance(reading, tree.Call):
             return f"{reading} = {_written(self._called(reading, now))}"
         stamp = self.ports[reading.port].stamp
         if stamp is None:
             return f"{reading.port}: no message yet"
         when = clock(stamp).rstrip("0").rstrip(".")
-        value = self._value(Field(reading.port), now)
+        value = self._value(tree.Field(reading.port), now)
         if value is None:
             return f"{reading.port}: no message since {when}"
         try:
@@ -282,7 +271,7 @@ class Individuals:
     """
 
     def __init__(
-        self, formula: Quantified, settings: StateSettings, shared: Mapping[str, PortValues]
+        self, formula: tree.Quantified, settings: StateSettings, shared: Mapping[str, PortValues]
     ) -> None:
         """Hold no individuals yet; ``shared`` are the ports outside the quantifier."""
         self._formula = formula
@@ -347,17 +336,17 @@ class Individuals:
             yield min([TRUE, *known]) if is_every else max([FALSE, *known])
 
 
-def own_ports(formula: Node) -> Tuple[str, ...]:
+def own_ports(formula: tree.Node) -> Tuple[str, ...]:
     """Return the ports that a formula reads outside its quantifiers, in the order written."""
-    parts = (each for each in outermost(formula) if not isinstance(each, Quantified))
-    return tuple(dict.fromkeys(port for each in parts for port in ports(each)))
+    parts = (each for each in tree.outermost(formula) if not isinstance(each, tree.Quantified))
+    return tuple(dict.fromkeys(port for each in parts for port in tree.ports(each)))
 
 
-def rate_states(call: Call, period: int) -> int:
+def rate_states(call: tree.Call, period: int) -> int:
     """Return the states over which ``rate`` counts."""
-    seconds = call.arguments[1] if len(call.arguments) > 1 else Number(RATE_WINDOW)
-    assert isinstance(seconds, Number)
-    return max(1, round(seconds.value * SECOND) // period)
+    seconds = call.arguments[1] if len(call.arguments) > 1 else tree.Number(RATE_WINDOW)
+    assert isinstance(seconds, tree.Number)
+    return max(1, round(seconds.value * tree.SECOND) // period)
 
 
 def _written(value: Any) -> str:

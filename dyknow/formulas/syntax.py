@@ -18,31 +18,7 @@ from keyword import iskeyword
 from typing import Callable, NamedTuple, NoReturn, Union
 
 from dyknow.errors import FormulaError
-from dyknow.formulas.tree import (
-    OF_PORTS,
-    SECOND,
-    UNITS,
-    Arithmetic,
-    Atom,
-    Binary,
-    Call,
-    Comparison,
-    Constant,
-    Expression,
-    Field,
-    Flag,
-    Interval,
-    Node,
-    Number,
-    Proposition,
-    Quantified,
-    Text,
-    Unary,
-    height,
-    is_endless,
-    ports,
-    walk,
-)
+from dyknow.formulas import tree
 from dyknow.similar import did_you_mean
 
 #: Longest formula that is read, in characters, and how deep its parentheses may be.
@@ -51,7 +27,7 @@ MAX_DEPTH = 60
 #: Most levels of operators; Python 3.8 compiles no more than 97 parentheses within each other.
 MAX_HEIGHT = 90
 _TOO_HIGH = f"it has more than {MAX_HEIGHT} levels: put parentheses around some operators in a row"
-_YEAR = UNITS["h"] * 24 * 365
+_YEAR = tree.UNITS["h"] * 24 * 365
 #: Numbers of arguments that functions take, and the functions that take a port.
 FUNCTIONS = {
     "abs": (1, 1),
@@ -94,11 +70,19 @@ class _Name(NamedTuple):
     place: int
 
 
-_Part = Union[Node, Expression, _Name]
-_EXPRESSIONS = (Number, Text, Flag, Field, Constant, Call, Arithmetic)
+_Part = Union[tree.Node, tree.Expression, _Name]
+_EXPRESSIONS = (
+    tree.Number,
+    tree.Text,
+    tree.Flag,
+    tree.Field,
+    tree.Constant,
+    tree.Call,
+    tree.Arithmetic,
+)
 
 
-def parse(text: str) -> Node:
+def parse(text: str) -> tree.Node:
     """Read a formula.
 
     Raises:
@@ -167,31 +151,31 @@ class _Parser:
 
     # Formulas
 
-    def formula(self) -> Node:
+    def formula(self) -> tree.Node:
         whole = self._formula(self._implication)
         if self._token.kind != "end":
             self._unexpected("an operator such as 'and', or the end")
-        if height(whole) > MAX_HEIGHT:
+        if tree.height(whole) > MAX_HEIGHT:
             self._fail(_TOO_HIGH, 0)
-        for each in walk(whole):
-            if each is not whole and isinstance(each, Unary) and is_endless(each):
+        for each in tree.walk(whole):
+            if each is not whole and isinstance(each, tree.Unary) and tree.is_endless(each):
                 problem = f"'{each.operator}' without bounds may only stand outermost"
                 self._fail(f"{problem}: write bounds, as {each.operator}[0 s, 5 s]", each.place)
         return whole
 
-    def _formula(self, read: Callable[[], _Part]) -> Node:
+    def _formula(self, read: Callable[[], _Part]) -> tree.Node:
         """Read a part, and take an expression for an atom."""
         place = self._token.place
         return self._taken(read(), place)
 
-    def _taken(self, part: _Part, place: int) -> Node:
+    def _taken(self, part: _Part, place: int) -> tree.Node:
         if isinstance(part, _Name):
             self._fail(f"constant '{part.name}' is not compared with a field", part.place)
-        if isinstance(part, (Number, Text, Constant, Arithmetic)) or (
-            isinstance(part, Call) and part.function != "present"
+        if isinstance(part, (tree.Number, tree.Text, tree.Constant, tree.Arithmetic)) or (
+            isinstance(part, tree.Call) and part.function != "present"
         ):
             self._fail(f"'{part}' is not true or false: compare it", place)
-        return self._atom(Proposition(part)) if isinstance(part, _EXPRESSIONS) else part
+        return self._atom(tree.Proposition(part)) if isinstance(part, _EXPRESSIONS) else part
 
     def _implication(self) -> _Part:
         self._depth += 1
@@ -202,7 +186,7 @@ class _Parser:
         token = self._accept("implies", "->", "=>")
         if token is not None:
             right = self._formula(self._implication)
-            left = Binary("implies", self._taken(left, place), right, place=token.place)
+            left = tree.Binary("implies", self._taken(left, place), right, place=token.place)
         self._depth -= 1
         return left
 
@@ -214,7 +198,7 @@ class _Parser:
         token = self._accept(operator)
         while token is not None:
             right = self._formula(inner)
-            left = Binary(operator, self._taken(left, place), right, place=token.place)
+            left = tree.Binary(operator, self._taken(left, place), right, place=token.place)
             token = self._accept(operator)
         return left
 
@@ -226,25 +210,25 @@ class _Parser:
             return left
         interval = self._interval(token)
         right = self._formula(self._between)
-        return Binary(token.text, self._taken(left, place), right, interval, token.place)
+        return tree.Binary(token.text, self._taken(left, place), right, interval, token.place)
 
     def _unary(self) -> _Part:
         token = self._accept(*_UNARY)
         if token is None:
             return self._quantified() or self._comparison()
-        interval = Interval() if token.text == "not" else self._interval(token)
+        interval = tree.Interval() if token.text == "not" else self._interval(token)
         self._depth += 1
         if self._depth > MAX_DEPTH:
             self._fail(f"it is nested deeper than {MAX_DEPTH}", token.place)
         operand = self._formula(self._unary)
         self._depth -= 1
-        return Unary(token.text, operand, interval, token.place)
+        return tree.Unary(token.text, operand, interval, token.place)
 
-    def _interval(self, operator: _Token) -> Interval:
+    def _interval(self, operator: _Token) -> tree.Interval:
         if not self._accept("["):
             if operator.text == "until":
                 self._unexpected("the bounds of 'until', as until[0 s, 5 s]")
-            return Interval()
+            return tree.Interval()
         lower = self._duration()
         self._expect(",", " between the bounds")
         token = self._token
@@ -257,7 +241,7 @@ class _Parser:
             if upper < lower:
                 self._fail("the upper bound is below the lower one", token.place)
         self._expect("]", " after the bounds")
-        return Interval(lower, upper)
+        return tree.Interval(lower, upper)
 
     def _duration(self) -> int:
         token = self._token
@@ -277,11 +261,11 @@ class _Parser:
 
     def _unit(self) -> int:
         """Nanoseconds of the unit that follows, or of a second."""
-        if self._token.kind == "name" and self._token.text in UNITS:
-            return UNITS[self._take().text]
-        return SECOND
+        if self._token.kind == "name" and self._token.text in tree.UNITS:
+            return tree.UNITS[self._take().text]
+        return tree.SECOND
 
-    def _quantified(self) -> Node | None:
+    def _quantified(self) -> tree.Node | None:
         token = self._accept(*_QUANTIFIERS)
         if token is None:
             return None
@@ -295,38 +279,38 @@ class _Parser:
         self._expect("(", " before the formula of the individuals")
         operand = self._formula(self._implication)
         self._expect(")")
-        for each in walk(operand):
-            if isinstance(each, Quantified):
+        for each in tree.walk(operand):
+            if isinstance(each, tree.Quantified):
                 self._fail("a quantifier cannot stand within another one", each.place)
-        return Quantified(token.text, variable, concept, operand, token.place)
+        return tree.Quantified(token.text, variable, concept, operand, token.place)
 
     # Atoms
 
     def _comparison(self) -> _Part:
         left = self._sum()
-        found: Node | None = None
+        found: tree.Node | None = None
         token = self._accept(*_COMPARISONS)
         if token is None and self._token.text in ("=", "<>"):
             self._unexpected("a comparison")
         while token is not None:
             right = self._sum()
             sides = self._constant(left, right), self._constant(right, left)
-            atom = self._atom(Comparison(token.text, *sides))
-            found = atom if found is None else Binary("and", found, atom)
+            atom = self._atom(tree.Comparison(token.text, *sides))
+            found = atom if found is None else tree.Binary("and", found, atom)
             left, token = right, self._accept(*_COMPARISONS)
         return left if found is None else found
 
-    def _atom(self, atom: Atom) -> Atom:
-        if not ports(atom):
+    def _atom(self, atom: tree.Atom) -> tree.Atom:
+        if not tree.ports(atom):
             self._fail(f"'{atom}' reads no port, so it never changes", self._token.place)
         return atom
 
-    def _constant(self, part: _Part, other: _Part) -> Expression:
-        if isinstance(part, _Name) and isinstance(other, Field):
-            return Constant(part.name, other, part.place)
+    def _constant(self, part: _Part, other: _Part) -> tree.Expression:
+        if isinstance(part, _Name) and isinstance(other, tree.Field):
+            return tree.Constant(part.name, other, part.place)
         return self._expression(part)
 
-    def _expression(self, part: _Part) -> Expression:
+    def _expression(self, part: _Part) -> tree.Expression:
         if isinstance(part, _Name):
             self._fail(f"constant '{part.name}' is not compared with a field", part.place)
         if not isinstance(part, _EXPRESSIONS):
@@ -341,7 +325,7 @@ class _Parser:
         token = self._accept(*signs)
         while token is not None:
             right = self._arithmetic(tighter, ()) if tighter else self._sign()
-            left = Arithmetic(token.text, self._expression(left), self._expression(right))
+            left = tree.Arithmetic(token.text, self._expression(left), self._expression(right))
             token = self._accept(*signs)
         return left
 
@@ -350,9 +334,9 @@ class _Parser:
         if token is None:
             return self._primary()
         operand = self._expression(self._sign())
-        if isinstance(operand, Number):
-            return Number(-operand.value)
-        return Call("-", (operand,), token.place)
+        if isinstance(operand, tree.Number):
+            return tree.Number(-operand.value)
+        return tree.Call("-", (operand,), token.place)
 
     def _primary(self) -> _Part:
         token = self._token
@@ -362,16 +346,16 @@ class _Parser:
             return inner
         if token.kind == "number":
             self._take()
-            is_duration = self._token.kind == "name" and self._token.text in UNITS
+            is_duration = self._token.kind == "name" and self._token.text in tree.UNITS
             value = self._times(token, self._unit() if is_duration else 1)
-            return Number(float(value / SECOND if is_duration else value))
+            return tree.Number(float(value / tree.SECOND if is_duration else value))
         if token.kind == "text":
-            return Text(re.sub(r"\\(.)", r"\1", self._take().text[1:-1]))
+            return tree.Text(re.sub(r"\\(.)", r"\1", self._take().text[1:-1]))
         if token.kind != "name" or (token.text in _WORDS and token.text not in ("true", "false")):
             self._unexpected("a formula")
         self._take()
         if token.text in ("true", "false"):
-            return Flag(token.text == "true")
+            return tree.Flag(token.text == "true")
         if self._token.text == "(":
             return self._call(token)
         if self._token.text in (".", "["):
@@ -381,16 +365,16 @@ class _Parser:
         hint = did_you_mean(token.text, _WORDS)
         if hint and self._token.kind in ("name", "number") and self._token.text not in _WORDS:
             self._fail(f"'{token.text}' is not an operator{hint}", token.place)
-        return Field(token.text, (), token.place)
+        return tree.Field(token.text, (), token.place)
 
-    def _call(self, token: _Token) -> Expression:
+    def _call(self, token: _Token) -> tree.Expression:
         if token.text not in FUNCTIONS:
             hint = did_you_mean(token.text, {*FUNCTIONS, *_WORDS})
             self._fail(f"'{token.text}' is not a function{hint}", token.place)
         self._take()
         first = self._sum()
-        if token.text in OF_PORTS and isinstance(first, _Name):
-            first = Field(first.name, (), first.place)
+        if token.text in tree.OF_PORTS and isinstance(first, _Name):
+            first = tree.Field(first.name, (), first.place)
         arguments = [self._expression(first)]
         while self._accept(","):
             arguments.append(self._expression(self._sum()))
@@ -400,19 +384,19 @@ class _Parser:
             expected = f"{least}" if least == most else f"{least} to {most}"
             problem = f"{token.text} takes {expected} arguments, not {len(arguments)}"
             self._fail(problem, token.place)
-        if token.text in OF_PORTS and not (
-            isinstance(arguments[0], Field) and not arguments[0].path
+        if token.text in tree.OF_PORTS and not (
+            isinstance(arguments[0], tree.Field) and not arguments[0].path
         ):
             self._fail(f"{token.text} takes a port, not '{arguments[0]}'", token.place)
         if token.text == "rate" and len(arguments) == 2:
             window = arguments[1]
-            if not isinstance(window, Number) or not window.value > 0:
+            if not isinstance(window, tree.Number) or not window.value > 0:
                 self._fail("the second argument of rate is a duration, as 5 s", token.place)
-            if not window.value < _YEAR // SECOND:
+            if not window.value < _YEAR // tree.SECOND:
                 self._fail("the second argument of rate is at most a year", token.place)
-        return Call(token.text, tuple(arguments), token.place)
+        return tree.Call(token.text, tuple(arguments), token.place)
 
-    def _field(self, token: _Token) -> Field:
+    def _field(self, token: _Token) -> tree.Field:
         path: list[str | int] = []
         while self._token.text in (".", "["):
             if self._take().text == "[":
@@ -432,4 +416,4 @@ class _Parser:
                     hint = f"the field is '{step.text}_' in Python"
                     self._fail(f"'{step.text}' is a word of Python: {hint}", step.place)
                 path.append(step.text)
-        return Field(token.text, tuple(path), token.place)
+        return tree.Field(token.text, tuple(path), token.place)

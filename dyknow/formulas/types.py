@@ -10,19 +10,7 @@ import sys
 from typing import Any, Callable, Mapping, NamedTuple, NoReturn, Optional, Union
 
 from dyknow.errors import FormulaError
-from dyknow.formulas.tree import (
-    OF_PORTS,
-    Arithmetic,
-    Call,
-    Comparison,
-    Constant,
-    Expression,
-    Field,
-    Flag,
-    Node,
-    Text,
-    atoms,
-)
+from dyknow.formulas import tree
 from dyknow.similar import did_you_mean
 
 ARRAY = re.compile(r"(.*)\[\d*\]\Z")
@@ -60,12 +48,12 @@ def known_type(name: str) -> MessageType | None:
 
 
 def check(
-    formula: Node, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
+    formula: tree.Node, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
 ) -> None:
     """Check a formula; see ``Formula.check``."""
     checker = _Checker(text, types, lookup)
-    for atom in atoms(formula):
-        if isinstance(atom, Comparison):
+    for atom in tree.atoms(formula):
+        if isinstance(atom, tree.Comparison):
             left, right = checker.kind(atom.left), checker.kind(atom.right)
             checker.comparable(atom, left, right)
         else:
@@ -85,24 +73,24 @@ class _Checker:
     def _fail(self, place: int, problem: str) -> NoReturn:
         raise FormulaError(self._text, place, problem)
 
-    def kind(self, expression: Expression) -> str:
+    def kind(self, expression: tree.Expression) -> str:
         """Return the kind of an expression's values."""
-        if isinstance(expression, Text):
+        if isinstance(expression, tree.Text):
             return "text"
-        if isinstance(expression, Flag):
+        if isinstance(expression, tree.Flag):
             return "flag"
-        if isinstance(expression, Constant):
+        if isinstance(expression, tree.Constant):
             self._check_constant(expression)
             return self.kind(expression.of)
-        if isinstance(expression, Arithmetic):
+        if isinstance(expression, tree.Arithmetic):
             for each in (expression.left, expression.right):
                 self._number(each, f"'{expression.operator}'")
-        if isinstance(expression, Call):
+        if isinstance(expression, tree.Call):
             return self._call(expression)
-        return self._field(expression) if isinstance(expression, Field) else "number"
+        return self._field(expression) if isinstance(expression, tree.Field) else "number"
 
-    def _call(self, call: Call) -> str:
-        if call.function in OF_PORTS:
+    def _call(self, call: tree.Call) -> str:
+        if call.function in tree.OF_PORTS:
             self._field(call.arguments[0])
             return "flag" if call.function == "present" else "number"
         for each in call.arguments:
@@ -120,13 +108,13 @@ class _Checker:
                 )
         return "number"
 
-    def _number(self, expression: Expression, what: str) -> None:
+    def _number(self, expression: tree.Expression, what: str) -> None:
         kind = self.kind(expression)
         if kind not in ("", "number"):
             place = getattr(expression, "place", 0)
             self._fail(place, f"{what} takes numbers, but '{expression}' is {_a(kind)}")
 
-    def _field(self, field: Union[Field, Any]) -> str:
+    def _field(self, field: Union[tree.Field, Any]) -> str:
         """Follow the path of a field."""
         if field.port not in self._types:
             hint = did_you_mean(field.port, self._types) or f"; there are: {_names(self._types)}"
@@ -152,7 +140,7 @@ class _Checker:
             owner = self._lookup(kind) if "/" in kind and not ARRAY.match(kind) else None
         return kind
 
-    def _check_constant(self, constant: Constant) -> None:
+    def _check_constant(self, constant: tree.Constant) -> None:
         owner = self._lookup(self._field(constant.owner))
         if owner is None:
             return
@@ -161,7 +149,7 @@ class _Checker:
             problem = f"{owner.name} has no constant '{constant.name}'{hint or ';'}"
             self._fail(constant.place, f"{problem} its constants are: {_names(owner.constants)}")
 
-    def comparable(self, atom: Comparison, left: str, right: str) -> None:
+    def comparable(self, atom: tree.Comparison, left: str, right: str) -> None:
         """Check that two kinds can be compared."""
         for kind, side in ((left, atom.left), (right, atom.right)):
             if "/" in kind or ARRAY.match(kind):
@@ -174,7 +162,7 @@ class _Checker:
         if atom.operator not in ("==", "!=") and {left, right} & {"text", "flag"}:
             self._fail(_place(atom), f"a text or flag is compared with '==' or '!=': '{atom}'")
 
-    def truth(self, expression: Expression) -> None:
+    def truth(self, expression: tree.Expression) -> None:
         """Check that an expression can be taken for a truth."""
         kind = self.kind(expression)
         owner = self._lookup(kind) if "/" in kind else None
@@ -204,5 +192,5 @@ def _names(names: Any) -> str:
     return ", ".join(found[:_LISTED]) + more or "none"
 
 
-def _place(atom: Comparison) -> int:
+def _place(atom: tree.Comparison) -> int:
     return getattr(atom.left, "place", getattr(atom.right, "place", 0))
