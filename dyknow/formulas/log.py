@@ -44,21 +44,6 @@ class _TooLong(Exception):
     """An explanation takes more truths than there is patience for."""
 
 
-class _Patience:
-    """Counts the truths that are computed to explain a verdict, of individuals too."""
-
-    __slots__ = ("_left",)
-
-    def __init__(self) -> None:
-        self._left = _PATIENCE
-
-    def spend(self) -> None:
-        """Count one."""
-        self._left -= 1
-        if self._left < 0:
-            raise _TooLong
-
-
 class Log:
     """The truths of the atoms of a formula, and of its individuals': a ``Trace``."""
 
@@ -90,10 +75,11 @@ class Log:
         self._seen = 0
         self._back = reach(formula, period)
         self._oldest = 0
-        self._patience = _Patience()
+        self._patience = iter(range(_PATIENCE))  # shared with the individuals
 
     def __len__(self) -> int:
-        self._patience.spend()  # each truth of an atom or quantifier looks here first
+        if next(self._patience, None) is None:  # each truth of an atom or quantifier looks here
+            raise _TooLong
         return self._seen
 
     @property
@@ -139,7 +125,7 @@ class Log:
 
         If they take too long to find, all values in this state are written.
         """
-        self._patience = _Patience()
+        self._patience = iter(range(_PATIENCE))
         try:
             found = list(self._reasons(self._formula, state, value))
         except _TooLong:
