@@ -10,8 +10,7 @@
         print(verdict)
 """
 
-from dyknow.formulas.monitor import Formula, Monitor, Truth, Verdict, parse
-from dyknow.formulas.ranges import Range
+from dyknow.formulas.monitor import Formula, Monitor, Range, Truth, Verdict, parse
 from dyknow.formulas.types import MessageType
 
 __all__ = ["Formula", "MessageType", "Monitor", "Range", "Truth", "Verdict", "parse"]

@@ -136,10 +136,9 @@ class Log:
         """Yield the values of all atoms in a state."""
         for atom in self._atoms:
             yield from self._change(atom, state).values
-        for each in tree.walk(self._formula):
-            if isinstance(each, tree.Quantified):
-                for name, log, number in self._named(each, state):
-                    yield from (f"{name}: {value}" for value in log._values(number))
+        for each in tree.quantifiers(self._formula):
+            for name, log, number in self._named(each, state):
+                yield from (f"{name}: {value}" for value in log._values(number))
 
     def _reasons(self, formula: tree.Node, state: int, value: int) -> Iterator[str]:
         """Yield what made a formula have a truth in a state."""

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from dyknow.errors import BadParameter, FormulaError
 from dyknow.formulas import syntax, tree
 from dyknow.formulas.compiler import endless
 from dyknow.formulas.look_ahead import looks_ahead
 from dyknow.formulas.precision import narrowed
-from dyknow.formulas.ranges import Range, ranges
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
 from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
@@ -55,6 +54,13 @@ class Verdict(NamedTuple):
         return f"{clock(self.stamp)} {self.value.name}  {self.why}".rstrip()
 
 
+class Range(NamedTuple):
+    """The individuals of a variable; ``concept`` is empty for individuals of any kind."""
+
+    variable: str
+    concept: str
+
+
 class Formula:
     """A formula of metric temporal logic over the messages of ports.
 
@@ -85,10 +91,7 @@ class Formula:
     @property
     def variables(self) -> Tuple[str, ...]:
         """The variables of its quantifiers, in the order written."""
-        found = [
-            each.variable for each in tree.walk(self.tree) if isinstance(each, tree.Quantified)
-        ]
-        return tuple(dict.fromkeys(found))
+        return tuple(dict.fromkeys(each.variable for each in tree.quantifiers(self.tree)))
 
     def ranges(self) -> Mapping[str, Range]:
         """Return the individuals that each port of ``of_individuals`` has a stream for.
@@ -98,7 +101,28 @@ class Formula:
         Raises:
             FormulaError: a port has two variables, a variable two concepts, or no port.
         """
-        return ranges(self.tree, self.text)
+        quantified = tree.quantifiers(self.tree)
+        concepts: Dict[str, str] = {}
+        variables: Dict[str, str] = {}
+        for each in quantified:
+            concept = concepts.setdefault(each.variable, each.concept) or each.concept
+            if each.concept not in ("", concept):
+                problem = f"{each.variable} is of the concept {concept} in another quantifier: "
+                problem += "expected it, or another variable"
+                raise FormulaError(self.text, each.place, problem)
+            concepts[each.variable] = concept
+            for port in tree.ports(each.operand):
+                if port not in self.of_individuals:
+                    continue
+                if variables.setdefault(port, each.variable) != each.variable:
+                    problem = f"the port '{port}' has a stream for each {variables[port]}: a "
+                    problem += f"quantifier of {each.variable} cannot read it"
+                    raise FormulaError(self.text, each.place, problem)
+        for each in quantified:
+            if each.variable not in variables.values():
+                problem = f"{each.variable} has no individuals: each port below the quantifier "
+                raise FormulaError(self.text, each.place, f"{problem}is read outside as well")
+        return {port: Range(variable, concepts[variable]) for port, variable in variables.items()}
 
     def check(self, types: Mapping[str, Optional[MessageType]], lookup: Lookup) -> None:
         """Check ports, fields and constants against the types of messages.
@@ -145,8 +169,8 @@ class Formula:
             max_nodes,
         )
         self._check_bounds(settings.period)
-        for each in tree.walk(self.tree) if exact else ():
-            if isinstance(each, tree.Quantified) and looks_ahead(each.operand):
+        for each in tree.quantifiers(self.tree) if exact else ():
+            if looks_ahead(each.operand):
                 problem = "exact cannot reason about a quantifier that looks ahead"
                 raise FormulaError(self.text, each.place, problem)
         return Monitor(self, settings)

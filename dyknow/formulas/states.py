@@ -26,21 +26,13 @@ _NONE: Mapping[Any, Any] = {}
 
 
 class StateSettings(NamedTuple):
-    """How states are made from messages; times in nanoseconds.
+    """How states are made from messages; times in nanoseconds."""
 
-    Attributes:
-        period: between two states.
-        hold: greatest age of a message that still has a value; None: until the next one comes.
-        delay: after which a state closes, even if a port has not passed it.
-        is_exact: whether a formula is reasoned about with all that its UNKNOWN atoms could be.
-        max_nodes: most decisions that this keeps at a time.
-    """
-
-    period: int = tree.SECOND // 10
-    hold: Optional[int] = None
-    delay: int = tree.SECOND // 10
-    is_exact: bool = False
-    max_nodes: int = 1000
+    period: int = tree.SECOND // 10  # between two states
+    hold: Optional[int] = None  # greatest age of a message with a value; None: until the next one
+    delay: int = tree.SECOND // 10  # after which a state closes, even if a port has not passed it
+    is_exact: bool = False  # whether to reason with all that UNKNOWN atoms could be
+    max_nodes: int = 1000  # most decisions that this keeps at a time
 
 
 def clock(nanoseconds: int) -> str:
@@ -152,7 +144,7 @@ class States:
             if port not in (shared or {})
         }
         self.ports = {**shared, **self.own} if shared else self.own
-        quantified = [each for each in tree.walk(formula) if isinstance(each, tree.Quantified)]
+        quantified = tree.quantifiers(formula)
         self.quantifiers: Mapping[tree.Quantified, Individuals] = _NONE
         if quantified:
             self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}

@@ -279,9 +279,8 @@ class _Parser:
         self._expect("(", " before the formula of the individuals")
         operand = self._formula(self._implication)
         self._expect(")")
-        for each in tree.walk(operand):
-            if isinstance(each, tree.Quantified):
-                self._fail("a quantifier cannot stand within another one", each.place)
+        for each in tree.quantifiers(operand):
+            self._fail("a quantifier cannot stand within another one", each.place)
         return tree.Quantified(token.text, variable, concept, operand, token.place)
 
     # Atoms

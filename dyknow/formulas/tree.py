@@ -55,17 +55,11 @@ class Flag:
 
 @dataclass(frozen=True)
 class Field:
-    """A port, or a field of its message: ``odom.twist.covariance[0]``.
-
-    Attributes:
-        port: the port.
-        path: names of fields, and indices of arrays.
-        place: where it stands in the text.
-    """
+    """A port, or a field of its message: ``odom.twist.covariance[0]``."""
 
     port: str
-    path: Tuple[Union[str, int], ...] = ()
-    place: int = field(default=0, compare=False)
+    path: Tuple[Union[str, int], ...] = ()  # names of fields, and indices of arrays
+    place: int = field(default=0, compare=False)  # where it stands in the text
 
     def __str__(self) -> str:
         steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in self.path)
@@ -261,6 +255,11 @@ def atoms(formula: Node) -> Tuple[Atom, ...]:
     """Return the atoms of a formula, each once, in the order written."""
     found = (each for each in walk(formula) if isinstance(each, (Comparison, Proposition)))
     return tuple(dict.fromkeys(found))
+
+
+def quantifiers(formula: Node) -> List[Quantified]:
+    """Return the quantifiers of a formula, in the order written."""
+    return [each for each in walk(formula) if isinstance(each, Quantified)]
 
 
 def outermost(formula: Node) -> Iterator[Union[Atom, Quantified]]:

@@ -84,7 +84,10 @@ class _Checker:
             return self.kind(expression.of)
         if isinstance(expression, tree.Arithmetic):
             for each in (expression.left, expression.right):
-                self._number(each, f"'{expression.operator}'")
+                kind = self.kind(each)
+                if kind not in ("", "number"):
+                    problem = f"'{expression.operator}' takes numbers, but '{each}' is {_a(kind)}"
+                    self._fail(_place(each), problem)
         if isinstance(expression, tree.Call):
             return self._call(expression)
         return self._field(expression) if isinstance(expression, tree.Field) else "number"
@@ -107,12 +110,6 @@ class _Checker:
                     call.place, f"{call.function} cannot be applied to '{each}', {_a(kind)}"
                 )
         return "number"
-
-    def _number(self, expression: tree.Expression, what: str) -> None:
-        kind = self.kind(expression)
-        if kind not in ("", "number"):
-            place = getattr(expression, "place", 0)
-            self._fail(place, f"{what} takes numbers, but '{expression}' is {_a(kind)}")
 
     def _field(self, field: Union[tree.Field, Any]) -> str:
         """Follow the path of a field."""
@@ -153,14 +150,14 @@ class _Checker:
         """Check that two kinds can be compared."""
         for kind, side in ((left, atom.left), (right, atom.right)):
             if "/" in kind or ARRAY.match(kind):
-                place = getattr(side, "place", 0)
                 owner = self._lookup(kind)
                 hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
-                self._fail(place, f"'{side}' cannot be compared: it is {_a(kind)}{hint}")
+                self._fail(_place(side), f"'{side}' cannot be compared: it is {_a(kind)}{hint}")
+        place = _place(atom.left, _place(atom.right))
         if left and right and left != right:
-            self._fail(_place(atom), f"{_a(left)} is compared with {_a(right)}: '{atom}'")
+            self._fail(place, f"{_a(left)} is compared with {_a(right)}: '{atom}'")
         if atom.operator not in ("==", "!=") and {left, right} & {"text", "flag"}:
-            self._fail(_place(atom), f"a text or flag is compared with '==' or '!=': '{atom}'")
+            self._fail(place, f"a text or flag is compared with '==' or '!=': '{atom}'")
 
     def truth(self, expression: tree.Expression) -> None:
         """Check that an expression can be taken for a truth."""
@@ -171,8 +168,8 @@ class _Checker:
         )
         if kind not in ("", "flag") and not has_truth and (owner is not None or "/" not in kind):
             hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
-            place = getattr(expression, "place", 0)
-            self._fail(place, f"'{expression}' is not true or false: it is {_a(kind)}{hint}")
+            problem = f"'{expression}' is not true or false: it is {_a(kind)}{hint}"
+            self._fail(_place(expression), problem)
 
 
 def _kind(datatype: str) -> str:
@@ -192,5 +189,5 @@ def _names(names: Any) -> str:
     return ", ".join(found[:_LISTED]) + more or "none"
 
 
-def _place(atom: tree.Comparison) -> int:
-    return getattr(atom.left, "place", getattr(atom.right, "place", 0))
+def _place(expression: tree.Expression, default: int = 0) -> int:
+    return getattr(expression, "place", default)
