@@ -33,14 +33,8 @@ _log = logging.getLogger("rosout.dyknow")
 class AwaitedPublisher(OutsidePublisher):
     """Keeps the messages of one publication, up to its queue size, until ``pass_to``.
 
-    Args:
-        topic: where they were published.
-        queue_size: of the publication; 0 or None for no bound of its own.
-        latch: whether that latches.
-        registration: has the peers meanwhile, if it is there already.
-
-    Attributes:
-        owed: a latched message that the registration gets unless one is published before.
+    A ``queue_size`` of 0 or None is no bound. The ``registration`` has the peers meanwhile, if it
+    is there already.
     """
 
     heard: bool = True
@@ -54,6 +48,7 @@ class AwaitedPublisher(OutsidePublisher):
     ) -> None:
         self.in_flight = 0
         self.changed = None
+        #: A latched message that the registration gets unless one is published before.
         self.owed = NOTHING
         self._latch = latch
         self._registration = registration

@@ -61,31 +61,19 @@ class _Topic:
 
 @dataclass(eq=False)
 class _Part:
-    """One endpoint's part in a switch, filled in as the steps are taken.
+    """One endpoint's part in a switch, filled in as the steps are taken."""
 
-    Attributes:
-        endpoint: a publication or a subscription.
-        topic: its new topic; empty for none.
-        link: the new connection of a subscription.
-        registration: on the new topic.
-        is_live: whether the topic has other ends in this process.
-        is_late: whether the registration is made after the switch.
-        awaited: of a publication, takes its place until then, and while a latched message is sent.
-        drained: the connection that receives no more from outside, until the switch.
-        old: registration on the topic that the endpoint leaves.
-        before: number of messages that a publication had published at the switch.
-    """
-
-    endpoint: Any
-    topic: str
-    link: Connection | None = None
-    registration: Any = None
-    is_live: bool = False
-    is_late: bool = False
+    endpoint: Any  # a publication or a subscription
+    topic: str  # its new topic; empty for none
+    link: Connection | None = None  # the new connection of a subscription
+    registration: Any = None  # on the new topic
+    is_live: bool = False  # whether the topic has other ends in this process
+    is_late: bool = False  # whether the registration is made after the switch
+    #: Of a publication, takes its place until then, and while a latched message is sent.
     awaited: AwaitedPublisher | None = None
-    drained: Connection | None = None
-    old: Any = None
-    before: int = 0
+    drained: Connection | None = None  # receives no more from outside, until the switch
+    old: Any = None  # registration on the topic that the endpoint leaves
+    before: int = 0  # messages that a publication had published at the switch
 
     @property
     def is_publication(self) -> bool:

@@ -55,10 +55,9 @@ def _bound(what: str, queue_size: Any) -> int | None:
 
 def _origin(error: BaseException) -> tuple[str, int]:
     """Return the file and line in which an error was raised."""
-    trace, place = error.__traceback__, ("", 0)
-    while trace is not None:
-        place = trace.tb_frame.f_code.co_filename, trace.tb_lineno
-        trace = trace.tb_next
+    place = "", 0
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        place = frame.f_code.co_filename, line
     return place
 
 
@@ -253,13 +252,7 @@ class Context:
         if codec is not None:
             adapt, datatype = codec.decoding, codec.datatype
         subscription = Subscription(
-            datatype,
-            _bound(what, queue_size),
-            strand,
-            failed,
-            options,
-            self.name,
-            adapt,
+            datatype, _bound(what, queue_size), strand, failed, options, self.name, adapt
         )
         self._keep(subscription)
         return subscription

@@ -43,7 +43,7 @@ from dyknow.nodelet.context import Context
 from dyknow.nodelet.endpoints import MOST_KEPT, Connection, Publication, Subscription
 from dyknow.nodelet.loader import Loader
 from dyknow.nodelet.middleware import Closable, OutsideSubscriber, Receive
-from dyknow.nodelet.parked import ParkedConnection
+from dyknow.nodelet.parked import ParkedConnection, digest_of
 from dyknow.nodelet.scheduler import Strand
 from dyknow.periodic import in_background
 
@@ -72,52 +72,32 @@ _log = logging.getLogger("rosout.dyknow")
 
 @dataclass(frozen=True)
 class HandedTopic:
-    """One connected end of a nodelet that moves.
+    """One connected end of a nodelet that moves."""
 
-    Attributes:
-        topic: its global name.
-        datatype: type of its messages.
-        direction: IN or OUT.
-        given: digests of the messages that it was given, each with the time of its arrival.
-        waiting: messages that it was given, and has not received, serialised.
-        latch: whether an output latches.
-        options: further options of an output, as JSON.
-        flows: whether messages have come regularly to an input.
-    """
-
-    topic: str
-    datatype: str
-    direction: str
+    topic: str  # its global name
+    datatype: str  # of its messages
+    direction: str  # IN or OUT
+    #: Digests of the messages that it was given, each with the time of its arrival.
     given: tuple[tuple[float, bytes], ...] = ()
-    waiting: tuple[bytes, ...] = ()
-    latch: bool = False
-    options: str = "{}"
-    flows: bool = False
+    waiting: tuple[bytes, ...] = ()  # messages that it has not received of these, serialised
+    latch: bool = False  # of an output
+    options: str = "{}"  # further ones of an output, as JSON
+    flows: bool = False  # whether messages have come regularly to an input
 
 
 @dataclass(eq=False)
 class _Move:
-    """One move of a nodelet, in one of the two processes.
+    """One move of a nodelet, in one of the two processes."""
 
-    Attributes:
-        context: of the nodelet that moves from here; it may end meanwhile.
-        noted: its connections.
-        outputs: its publications that are connected, with their topics.
-        is_given: whether it is just being given away.
-        links: connections that are kept for the nodelet that moves here; None before.
-        ends: their subscriptions, and publications.
-        ended: set at the end.
-        expiry: when it is given up, in s of steady time; not during the load.
-    """
-
+    #: Of the nodelet that moves from here; it may end meanwhile.
     context: Callable[[], Context | None] = lambda: None
-    noted: list[Connection] = field(default_factory=list)
-    outputs: list[tuple[Publication, str]] = field(default_factory=list)
-    is_given: bool = False
-    links: list[ParkedConnection] | None = None
-    ends: list[Any] = field(default_factory=list)
+    noted: list[Connection] = field(default_factory=list)  # its connections
+    outputs: list[tuple[Publication, str]] = field(default_factory=list)  # with their topics
+    is_given: bool = False  # whether it is just being given away
+    links: list[ParkedConnection] | None = None  # kept for the nodelet that moves here
+    ends: list[Any] = field(default_factory=list)  # their subscriptions, and publications
     ended: threading.Event = field(default_factory=threading.Event)
-    expiry: float = 0.0
+    expiry: float = 0.0  # when it is given up, in s of steady time; not during the load
 
 
 class HandOvers(Closable):
@@ -130,10 +110,7 @@ class HandOvers(Closable):
     """
 
     def __init__(
-        self,
-        loader: Loader,
-        find_class: Callable[[str], Any],
-        unload: Callable[[Context], object],
+        self, loader: Loader, find_class: Callable[[str], Any], unload: Callable[[Context], object]
     ) -> None:
         self._loader = loader
         self._runtime = loader.runtime
@@ -228,7 +205,7 @@ class HandOvers(Closable):
             while due and not move.ended.is_set() and time.monotonic() < until:
                 noted = connection.noted(last)
                 for _, message in noted:
-                    due.discard(_attempt(self._runtime.transport.digest, message) or b"")
+                    due.discard(digest_of(message, self._runtime.transport.digest) or b"")
                 if noted:
                     last = noted[-1][0]
                 else:
@@ -263,11 +240,11 @@ class HandOvers(Closable):
         """
         transport = self._runtime.transport
         given, waiting = connection.take()
-        digests = ((moment, _attempt(transport.digest, message)) for moment, message in given)
+        digests = ((when, digest_of(message, transport.digest)) for when, message in given)
         packed = _successes(connection, transport.pack, waiting)
         return replace(
             _input(connection),
-            given=tuple((moment, digest) for moment, digest in digests if digest is not None),
+            given=tuple((when, digest) for when, digest in digests if digest is not None),
             waiting=tuple(packed),
         )
 
@@ -309,10 +286,8 @@ class HandOvers(Closable):
         try:
             missing = runtime.bus.park(links, publications, PATIENCE)
             if missing:
-                listed = ", ".join(missing)
-                raise CannotMove(
-                    name, f"publishers do not connect within {PATIENCE:g} s: {listed}"
-                )
+                problem = f"publishers do not connect within {PATIENCE:g} s: {', '.join(missing)}"
+                raise CannotMove(name, problem)
         except BaseException:
             self._end(name, move)
             raise
@@ -432,14 +407,6 @@ def _ignore(error: BaseException) -> None:
     """Do nothing: nothing is received."""
 
 
-def _attempt(convert: Callable[[Any], T], message: Any) -> T | None:
-    """Convert a message; None for one that cannot be converted."""
-    try:
-        return convert(message)
-    except Exception:  # the boundary to messages, whose fields may be anything
-        return None
-
-
 def _successes(
     connection: Connection, convert: Callable[[Any], T], messages: Sequence[Any]
 ) -> Iterator[T]:
@@ -447,6 +414,6 @@ def _successes(
     for message in messages:
         try:
             yield convert(message)
-        except Exception as error:  # the boundary, as above
+        except Exception as error:  # the boundary to messages, whose fields may be anything
             owner, topic = connection.subscription.owner, connection.topic
             _log.warning("%s: a message on %s is lost in its move: %s", owner, topic, error)

@@ -19,15 +19,7 @@ import importlib.util
 import sys
 import types
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from typing import (
-    Any,
-    Callable,
-    Collection,
-    Iterator,
-    Mapping,
-    MutableMapping,
-    Sequence,
-)
+from typing import Any, Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 
 from dyknow.locks import module_lock
 from dyknow.nodelet.module_files import forget_bytecode, is_standard, package_spec

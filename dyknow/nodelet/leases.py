@@ -65,20 +65,13 @@ def suspended_clock() -> float:
 
 @dataclass(eq=False)
 class _Lease:
-    """What one manager has granted; replaced as a whole, but for its end.
+    """What one manager has granted; replaced as a whole, but for its end."""
 
-    Attributes:
-        uri: address of the manager's node.
-        until: when it runs out.
-        probed_from: when the manager's host is to be probed.
-        producers: by topic of a claim, the nodelet that publishes there.
-        fenced: nodelets, each with a topic, that were replaced while the lease had run out.
-    """
-
-    uri: str
-    until: float
-    probed_from: float
-    producers: Mapping[str, str]
+    uri: str  # address of the manager's node
+    until: float  # when it runs out
+    probed_from: float  # when the manager's host is to be probed
+    producers: Mapping[str, str]  # by topic of a claim, the nodelet that publishes there
+    #: Nodelets, each with a topic, that were replaced while the lease had run out.
     fenced: frozenset[tuple[str, str]]
 
 

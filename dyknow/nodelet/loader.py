@@ -145,8 +145,7 @@ class Loader:
         """Return the context of a running nodelet; None if none has the name."""
         with self._changed:
             entry = self._entries.get(name)
-        is_running = entry is not None and entry.state is _State.RUNNING
-        return entry.context if entry is not None and is_running else None
+        return entry.context if entry is not None and entry.state is _State.RUNNING else None
 
     def known(self, name: str) -> Context | None:
         """Return the context of a nodelet that starts, runs or ends; None if there is none."""

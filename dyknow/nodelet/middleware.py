@@ -47,19 +47,12 @@ class Closable(ABC):
 
 @dataclass(frozen=True)
 class Codec:
-    """Another form of the messages of a port, which travels on a topic below that of the port.
+    """Another form of the messages of a port, which travels on a topic below that of the port."""
 
-    Attributes:
-        form: the last part of that topic's name, ``compressed`` of ``/image/compressed``.
-        datatype: class of the encoded messages.
-        encode: returns the encoded form of a message; any exception says that it has none.
-        decode: returns the message of an encoded form, likewise.
-    """
-
-    form: str
-    datatype: Any
-    encode: Callable[[Any], Any]
-    decode: Callable[[Any], Any]
+    form: str  # the last part of that topic's name, ``compressed`` of ``/image/compressed``
+    datatype: Any  # class of the encoded messages
+    encode: Callable[[Any], Any]  # returns the form of a message; any exception: it has none
+    decode: Callable[[Any], Any]  # returns the message of an encoded form, likewise
 
     def decoding(self, receive: Receive) -> Receive:
         """Wrap ``receive`` so that it takes encoded messages."""
@@ -257,17 +250,11 @@ class Ticker(ABC):
 
 
 class Node(ABC):
-    """The node of ROS that this process is.
+    """The node of ROS that this process is, and its exceptions, which take what is concerned."""
 
-    Attributes:
-        closed: raised by a closed handle; each of the three takes a message naming the operation.
-        interrupted: raised by a wait or a service call whose nodelet is unloaded.
-        timed_out: raised by a wait for a message that did not come in time.
-    """
-
-    closed: type[Exception] = HandleClosed
-    interrupted: type[Exception] = DyKnowError
-    timed_out: type[Exception] = DyKnowError
+    closed: type[Exception] = HandleClosed  # of a closed handle
+    interrupted: type[Exception] = DyKnowError  # of a wait or call whose nodelet is unloaded
+    timed_out: type[Exception] = DyKnowError  # of a wait for a message that did not come in time
 
     @abstractmethod
     def is_shutdown(self) -> bool:

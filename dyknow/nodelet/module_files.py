@@ -21,13 +21,7 @@ import sysconfig
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import (
-    Collection,
-    Iterator,
-    Mapping,
-    Sequence,
-    Tuple,
-)
+from typing import Collection, Iterator, Mapping, Sequence, Tuple
 
 _RELAY = re.compile(r"^__extended_path = (['\"])(.*?)\1", re.MULTILINE)
 _SCRIPT_RELAY = re.compile(r"^python_script = (['\"])(.*?)\1$", re.MULTILINE)

@@ -54,11 +54,8 @@ class ParkedConnection(Connection):
         Before ``leave_out`` it is not: the nodelet has received some of these messages.
         """
         own = self.subscription
-        if (own.owner, own.datatype, self.topic) != (
-            subscription.owner,
-            subscription.datatype,
-            topic,
-        ):
+        wanted = (subscription.owner, subscription.datatype, topic)
+        if (own.owner, own.datatype, self.topic) != wanted:
             return False
         with message_lock:
             if not self._is_cleared:
@@ -168,10 +165,15 @@ class ParkedConnection(Connection):
             return True
 
     def _digest_of(self, message: Any) -> bytes | None:
-        try:
-            return self._digest(message)
-        except Exception:  # it came by reference, and cannot have come to the other process
-            return None
+        return digest_of(message, self._digest)
+
+
+def digest_of(message: Any, digest: Callable[[Any], bytes]) -> bytes | None:
+    """Return the digest of a message; None for one that came by reference and has none."""
+    try:
+        return digest(message)
+    except Exception:  # its fields may be anything
+        return None
 
 
 def latching(message: Any) -> str:

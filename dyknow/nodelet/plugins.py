@@ -53,16 +53,9 @@ class PluginFile:
     file: Path
 
 
-def plugin_files() -> Iterator[PluginFile]:
-    """List every ``<export><dyknow plugin="…"/>`` of the packages on ROS_PACKAGE_PATH."""
-    return exported_files("dyknow")
-
-
-def exported_files(tag: str, attribute: str = "plugin") -> Iterator[PluginFile]:
-    """List the files that packages name in ``<export><TAG ATTRIBUTE="…"/>``."""
-    for found, plugin_file in exports(tag):
-        if found == attribute:
-            yield plugin_file
+def plugin_files(tag: str = "dyknow") -> Iterator[PluginFile]:
+    """List every ``<export><TAG plugin="…"/>`` of the packages on ROS_PACKAGE_PATH."""
+    return (found for attribute, found in exports(tag) if attribute == "plugin")
 
 
 def exports(tag: str) -> Iterator[tuple[str, PluginFile]]:

@@ -18,7 +18,7 @@ from lxml import etree
 from dyknow.errors import HostError, Problem
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
-from dyknow.nodelet.plugins import Plugins, exported_files, plugin_files
+from dyknow.nodelet.plugins import Plugins, plugin_files
 from dyknow.ros.process import programs
 from dyknow.ros.wire.message_classes import message_class
 from dyknow.similar import did_you_mean
@@ -81,7 +81,7 @@ def cpp_classes() -> Iterator[str]:
 def cpp_descriptions() -> Iterator[etree._Element]:
     """Read the descriptions of C++ nodelets; broken ones are logged and left out."""
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, recover=True)
-    for plugin_file in exported_files("nodelet"):
+    for plugin_file in plugin_files("nodelet"):
         try:
             root = etree.fromstring(plugin_file.file.read_bytes(), parser)
         except (OSError, etree.XMLSyntaxError) as error:
