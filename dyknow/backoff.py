@@ -48,14 +48,10 @@ class Backoff:
         forgiven_after: float = FORGIVEN_AFTER,
         tolerated: int = 1,
     ) -> None:
-        """Start without failures.
+        """Start without failures. Pauses double, from ``first`` seconds to ``longest``.
 
-        Args:
-            clock: steady time, in seconds.
-            first: seconds of the first pause; each pause is twice the one before it.
-            longest: seconds that no pause exceeds.
-            forgiven_after: seconds of good service that make up for all earlier failures.
-            tolerated: failures that no pause follows, since they may be chance.
+        ``forgiven_after`` seconds of good service make up for all earlier failures. No pause
+        follows so many as are ``tolerated``, since they may be chance. ``clock`` is steady.
         """
         self._clock = clock
         self._first = first
@@ -68,10 +64,8 @@ class Backoff:
     def failed(self, name: str, after: float = 0.0, cause: str = "") -> None:
         """Count a failure, or an attempt that is one unless good service follows it.
 
-        Args:
-            name: what failed.
-            after: seconds of good service that it ended; they bound the pause.
-            cause: the event behind it, if several failures may come of one: they count once.
+        It ended ``after`` seconds of good service, which bound the pause. Failures with one
+        ``cause``, the event behind them, count once.
         """
         now = self._clock()
         longest = min(SHARE * after, self._longest) if after >= _SERVICE else self._longest

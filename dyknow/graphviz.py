@@ -23,12 +23,7 @@ def quote(*lines: str) -> str:
 
 
 def render(dot: str, form: str, timeout: float) -> bytes:
-    """Draw a graph.
-
-    Args:
-        dot: The graph, in DOT.
-        form: `svg` or `png`.
-        timeout: Seconds after which graphviz is stopped; some 200 nodelets need 15 s.
+    """Draw a graph as `svg` or `png`, within seconds; some 200 nodelets need 15 s.
 
     Raises:
         CannotDraw: with the reason.

@@ -115,11 +115,7 @@ def assert_no_state_lock(what: str) -> None:
 
 
 class Checker:
-    """Knows which locks each thread holds, and reports violations.
-
-    Args:
-        path: file that violations are appended to; empty for none.
-    """
+    """Knows which locks each thread holds; appends violations to the file at ``path``, if any."""
 
     def __init__(self, path: str = "") -> None:
         self._path = path

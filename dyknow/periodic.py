@@ -169,13 +169,10 @@ class ControlLoop:
         self._started = self._closed = False
 
     def add(self, key: str, work: Work, after: float | None = None, pause: float = PAUSE) -> None:
-        """Add a standing key.
+        """Add a standing key; ``work`` returns the seconds until the next round, None for a wake.
 
-        Args:
-            key: its name, for the log too.
-            work: a round; returns the seconds until the next one, None for the next wake.
-            after: seconds until the first round; None for the first wake.
-            pause: least seconds until a round.
+        The first round comes in ``after`` seconds, or with the first wake; ``pause`` is the least
+        time until a round.
         """
         self._put(_Key(key, work, True, pause, *self._times(after, pause)))
 

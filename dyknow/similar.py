@@ -16,16 +16,9 @@ LONGEST = 200
 
 
 def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str = "") -> str:
-    """Write `; did you mean a or b?` for the end of an error.
+    """Write `; did you mean a or b?` for the end of an error; empty if no known name is similar.
 
-    Args:
-        name: the name that is not known.
-        known: the names that are, in any order.
-        at_most: most suggestions.
-        prefix: stands before each of them.
-
-    Returns:
-        The text; empty if no name is similar.
+    Each of them, ``at_most`` so many, has the ``prefix`` before it.
     """
     if len(name) > LONGEST:
         return ""

@@ -41,13 +41,7 @@ class Things:
 
 
 class PlanningLibrary:
-    """A library, and demands of several sorts.
-
-    Attributes:
-        transformations: those to plan with.
-        demands: tags by their sort: ``ground``, ``variable`` or ``class``.
-        ontology: subsumption of names; without one there are no demands for a class.
-    """
+    """A library, and demands of several sorts: ``ground``, ``variable`` or ``class``."""
 
     def __init__(self, seed: int = 0, ontology: Subsumption = NO_ONTOLOGY) -> None:
         """Begin an empty library; the seed is for its random choices."""
@@ -164,9 +158,7 @@ def individuals(count: int, ontology: Subsumption = NO_ONTOLOGY) -> PlanningLibr
 def rooms(count: int, needs_power: bool = False) -> PlanningLibrary:
     """Write many devices in rooms of 21, and transformations that join those of one room.
 
-    Args:
-        count: transformations.
-        needs_power: whether the streams of devices need another one.
+    With ``needs_power`` the streams of devices need another one.
     """
     library = PlanningLibrary(5)
     devices = max(1, (count - 2) // (3 if needs_power else 2))

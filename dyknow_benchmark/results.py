@@ -92,21 +92,14 @@ class ResultTable(NamedTuple):
 
 
 class Results:
-    """Results of one measurement, in the order in which they are shown.
-
-    Attributes:
-        tables: the measured quantities.
-        targets: each quantity that has one, with its value, its target, and whether that is met.
-        met: whether all are.
-        pictures: names, and functions that draw them into a file.
-    """
+    """Results of one measurement, in the order in which they are shown."""
 
     def __init__(self) -> None:
         """Note the load of the machine, which is shown for the time from now on."""
         self.tables: list[ResultTable] = []
-        self.targets: list[Row] = []
-        self.met = True
-        self.pictures: list[tuple[str, Callable[[Path], None]]] = []
+        self.targets: list[Row] = []  # what was measured, its value, its target, whether it is met
+        self.met = True  # all of them
+        self.pictures: list[tuple[str, Callable[[Path], None]]] = []  # names, how to draw a file
         psutil.cpu_percent()
         self._load_average = os.getloadavg()[0]
         self._machine: Rows = ()

@@ -42,17 +42,11 @@ _FRAMES = 60
 
 
 class Tick(NamedTuple):
-    """A turn of the window's event loop, or a frame.
+    """A turn of the window's event loop, or a frame."""
 
-    Attributes:
-        time: seconds on the clock.
-        own: seconds of a processor that the window's thread has taken.
-        all: those of all threads.
-    """
-
-    time: float
-    own: float
-    all: float
+    time: float  # seconds on the clock
+    own: float  # seconds of a processor that the window's thread has taken
+    all: float  # those of all threads
 
 
 class Row(NamedTuple):

@@ -15,11 +15,7 @@ PERIOD = 0.1
 
 
 class Battery:
-    """Publishes the state of a battery until it is closed.
-
-    Attributes:
-        level: its charge, from 0 to 1.
-    """
+    """Publishes the state of a battery until it is closed; its ``level`` is from 0 to 1."""
 
     def __init__(self, topic: str, level: float) -> None:
         """Publish on a topic, from a level that stays until ``head_for`` is called."""

@@ -65,9 +65,7 @@ def blank(header: Any, height: int, width: int, encoding: str) -> Any:
 def shrink(packed: Pixels, smaller: Sequence[Pixels]) -> None:
     """Write planes at the factors 2, 4, 8...; an odd last row or column is left out.
 
-    Args:
-        packed: UYVY, (rows, columns, 2), both even.
-        smaller: planes to be written to.
+    ``packed`` is UYVY, (rows, columns, 2), both even; the planes are ``smaller``.
     """
     rows, columns = packed.shape[:2]
     pairs = packed.reshape(rows, columns // 2, 4)  # U, Y of the left pixel, V, Y of the right one

@@ -18,13 +18,9 @@ DONE, FAILED, INTERRUPTED = 0, 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the demonstration.
+    """Run the demonstration with arguments, by default those of the process.
 
-    Args:
-        argv: arguments without the program's name; by default those of the process.
-
-    Returns:
-        0 if it kept its promise, 1 if it did not or something failed, 130 after Ctrl-C.
+    Returns 0 if it kept its promise, 1 if it did not or something failed, 130 after Ctrl-C.
     """
     given = sys.argv[1:] if argv is None else argv
     # roslaunch and rostest append their own arguments, such as __name:=demo.

@@ -51,11 +51,9 @@ class Track:
     """Arrivals and errors, in order of arrival; arrival times are of one steady clock."""
 
     def __init__(self, begin: float, truth: Callable[[float], Array]) -> None:
-        """Make an empty track.
+        """Make an empty track; positions are expected from ``begin`` (s) on.
 
-        Args:
-            begin: time from which on positions are expected, s.
-            truth: centre of the ball (3,), m, by time of the stamps, s.
+        ``truth`` returns the centre of the ball (3,), m, by time of the stamps, s.
         """
         self._begin = begin
         self._truth = truth
@@ -123,19 +121,11 @@ def _wirings(old: NodeletStatus | None, new: NodeletStatus, space: str) -> Itera
 def to_dot(
     title: str, model: Model, first: Model, needed: AbstractSet[str], goal: str, space: str = "/"
 ) -> str:
-    """Write a picture of the graph in graphviz's DOT language.
+    """Write a picture of the graph in graphviz's DOT language, with names below ``space``.
 
-    Ovals are nodelets and rectangles are topics; the topic of the client is drawn bold. Nodelets
-    of the first picture are blue, new ones are green, and those that the stream no longer needs
-    are grey. Nodelets that have gone since the first picture are dashed.
-
-    Args:
-        title: heading of the picture.
-        model: the graph.
-        first: the graph of the first picture.
-        needed: names of the nodelets of the stream.
-        goal: topic on which the client listens.
-        space: namespace left out of names.
+    Ovals are nodelets and rectangles are topics; the topic of the client, the goal, is drawn bold.
+    Nodelets of the first picture are blue, new ones are green, and those that the stream no longer
+    needs are grey. Nodelets that have gone since the first picture are dashed.
     """
 
     def label(name: str) -> str:

@@ -21,13 +21,9 @@ END_TIMEOUT = 30.0  # s, for a command to end its children after SIGINT
 def run_logged(
     argv: Sequence[str], log: Path, timeout: float, environment: Mapping[str, str]
 ) -> int:
-    """Runs a command with its output in a file.
+    """Runs a command with its output in a file, and with variables besides those of this process.
 
-    Args:
-        argv: The command and its arguments.
-        log: File that is to hold what the command prints.
-        timeout: Time in s after which it is ended, and a line of the log says so.
-        environment: Variables to set besides those of this process.
+    After the timeout (s) it is ended, and a line of the log says so.
 
     Returns:
         The exit code; that of timeout(1), 124, when it was ended.

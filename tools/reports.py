@@ -15,19 +15,12 @@ MOST_SHOWN = 160  # characters of a reason
 
 @dataclass(frozen=True)
 class Report:
-    """What a result file says.
-
-    Attributes:
-        passed: The number of tests that passed.
-        skipped: The number of tests that were skipped.
-        failures: For each test that failed, its name and the reason, in a line.
-        printed: What the tests printed, as far as the file holds it for all tests together.
-    """
+    """What a result file says."""
 
     passed: int = 0
     skipped: int = 0
-    failures: tuple[str, ...] = ()
-    printed: str = ""
+    failures: tuple[str, ...] = ()  # of each test its name and the reason, in a line
+    printed: str = ""  # by the tests, as far as the file holds it for all of them together
 
 
 def read_report(path: Path) -> Report:

@@ -70,10 +70,8 @@ def run_all(
     """Runs the suites, at most `jobs` at a time and `timeout` s each, and prints a line for each.
 
     The slowest ones come first, so that none is left alone at the end. Before the line of a
-    failing one stands what it printed.
-
-    Returns:
-        The number of tests passed, and a line for each that failed.
+    failing one stands what it printed. Returns the number of tests passed, and a line for each
+    that failed.
     """
     passed = 0
     failures: list[str] = []

@@ -189,14 +189,10 @@ def group(*arguments: Argument, title: str = "") -> Argument:
 
 
 def argument(names: str, metavar: Optional[str], help_text: str, **options: Any) -> Argument:
-    """Declare an argument.
+    """Declare an argument: its name, or its options separated by blanks, and its placeholder.
 
-    Args:
-        names: its name, or its options, separated by blanks.
-        metavar: placeholder of its value in the help.
-        help_text: its description.
-        **options: as argparse takes them, and ``completer``, which returns possible values; by
-            default those of the placeholder.
+    The ``options`` are argparse's, and ``completer``, which returns possible values; by default
+    those of the placeholder.
     """
     read, completer = KINDS.get(metavar or "", (None, None))
     completer = options.pop("completer", completer)

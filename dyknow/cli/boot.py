@@ -26,14 +26,7 @@ def check(data: bytes, file: str, most: int) -> None:
 
 
 def load(manager: str, data: bytes, file: str, most: int, from_files: Collection[str]) -> None:
-    """Load a wiring, all or nothing.
-
-    Args:
-        manager: the manager's node.
-        data: the content of the file.
-        file: its name, for texts.
-        most: how many nodelets there may be.
-        from_files: labels of transformations that stay as they are.
+    """Load a wiring, all or nothing; transformations labelled as some ``from_files`` stay.
 
     Raises:
         DyKnowError: it cannot be loaded now; everything is as it was.

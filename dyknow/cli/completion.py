@@ -100,9 +100,7 @@ class _Cursor:
     def ports(self, direction: str = "", datatype: str = "") -> list[str]:
         """List the ports of the nodelet that is typed, or else the nodelets with such ports.
 
-        Args:
-            direction: of the ports; empty for both.
-            datatype: ROS type that the ports have to fit; empty for any.
+        An empty direction stands for both, and an empty type for any.
         """
         name, colon, _ = self.prefix.rpartition(":")
         fitting = {

@@ -73,11 +73,8 @@ def unknown_arguments(
 ) -> list[str]:
     """Say which of the given `NAME:=VALUE` no launch file speaks of; roslaunch ignores those.
 
-    Args:
-        files: the launch files that the user named.
-        loaded: those and all that they include.
-        given: what is given.
-        piped: the launch file on standard input.
+    The user has named ``files``; ``loaded`` are those and all that they include, and ``piped`` is
+    the launch file on standard input.
     """
     spoken_of = set(re.findall(r"\w+", " ".join([piped, *map(_text, loaded)])))
     declared = {name for text in (piped, *map(_text, files)) for name in _arguments_in(text)}
@@ -141,19 +138,13 @@ def one_line(error: object) -> str:
 
 
 class _Locator(XmlLoader):  # type: ignore[misc]
-    """Reads launch files as roslaunch does, and knows where it is.
-
-    Attributes:
-        place: `FILE` or `FILE:LINE` of the element that is read; empty before the first.
-        nodes: such places of nodes, by file and name.
-        has_failed: whether that is where reading failed.
-    """
+    """Reads launch files as roslaunch does, and knows where it is."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.place = ""
-        self.nodes: dict[tuple[str, str], str] = {}
-        self.has_failed = False
+        self.place = ""  # `FILE`, or `FILE:LINE` of the element that is read
+        self.nodes: dict[tuple[str, str], str] = {}  # such places, by file and name
+        self.has_failed = False  # whether reading failed at that place
         self._machines: dict[str, str] = {}  # places, by names and addresses of machines
         self._found = False
 

@@ -230,11 +230,7 @@ def _epilog() -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code.
-
-    Args:
-        words: the command line without the program's name; by default the process's.
-    """
+    """Run a command, by default that of the process, and return its exit code."""
     if words is None:
         _prepare_streams()
     try:

@@ -118,11 +118,7 @@ def parse(arguments: Sequence[str]) -> NodeletCommand:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `nodelet` and return its exit code.
-
-    Args:
-        argv: the command line, program name first; by default the process's.
-    """
+    """Run `nodelet`, program name first, and return its exit code."""
     argv = list(sys.argv if argv is None else argv)
     try:
         command = parse(argv[1:])

@@ -62,10 +62,7 @@ class Evaluator:
 class AtomReader:
     """The truths of the atoms and quantifiers of a formula as a function of a state's inputs.
 
-    Attributes:
-        inputs: as those of ``Evaluator``.
-        atoms: the atoms, numbered as for ``Note``.
-        parts: the atoms and quantifiers whose truths ``step`` returns, in their order.
+    ``inputs`` and ``atoms`` are as in ``Evaluator``; ``step`` returns the truths of ``parts``.
     """
 
     def __init__(self, formula: tree.Node, period: int, note: Note | None = None) -> None:
@@ -83,10 +80,7 @@ def endless(formula: tree.Node) -> Tuple[tree.Node, Tuple[int, ...]]:
     """Return a formula without an outermost ``always`` or ``eventually`` that has no bounds.
 
     It is about the whole sequence: once it is decided, all later states agree. So the same
-    operator looks back, and one of its truths is a verdict.
-
-    Returns:
-        The formula to evaluate, and the truths that are verdicts.
+    operator looks back, and one of its truths is a verdict. The truths that are are returned, too.
     """
     if not (isinstance(formula, tree.Unary) and tree.is_endless(formula)):
         return formula, (FALSE, UNKNOWN, TRUE)

@@ -59,13 +59,9 @@ class Log:
         atoms: Sequence[tree.Atom],
         individuals: Callable[[tree.Quantified, int], Iterable[Tuple[str, Log, int]]],
     ) -> None:
-        """Make a log without entries.
+        """Make a log without entries; its atoms are numbered in their order.
 
-        Args:
-            formula: the formula to explain.
-            period: nanoseconds between states.
-            atoms: the atoms, by their numbers.
-            individuals: returns name, log and number of the state for each individual.
+        ``individuals`` returns name, log and number of the state for each individual.
         """
         self.period = period
         self._formula = formula

@@ -45,13 +45,10 @@ class LookAhead:
     """Decides the states of one formula."""
 
     def __init__(self, formula: Node, period: int, leaf: Callable[[Node], int]) -> None:
-        """Prepare the decisions.
+        """Prepare the decisions for states that are ``period`` nanoseconds apart.
 
-        Args:
-            formula: looks ahead.
-            period: between two states, in nanoseconds.
-            leaf: is given each part whose truth is not computed here, and returns the place of
-                this truth among the arguments of ``step``.
+        ``leaf`` is given each part whose truth is not computed here, and returns the place of this
+        truth among the arguments of ``step``.
         """
         self._period = period
         self._horizon = horizon(formula, period)
@@ -170,21 +167,15 @@ class LookAhead:
 
 
 class _Recall:
-    """``since`` without bounds: its truth in the last state that was forgotten is carried on.
-
-    Attributes:
-        reach: how many states its operands look back.
-        skipped: of how many of the states that are kept its operands are not known any more.
-        carry: whether it was possible, and certain, in the last of these.
-    """
+    """``since`` without bounds: its truth in the last state that was forgotten is carried on."""
 
     def __init__(self, left: Bits, right: Bits, reach: int, width: Callable[[], int]) -> None:
         self._left = left
         self._right = right
         self._width = width
-        self.reach = reach
-        self.skipped = 0
-        self.carry = (0, 0)
+        self.reach = reach  # how many states its operands look back
+        self.skipped = 0  # of how many of the states that are kept these are not known any more
+        self.carry = (0, 0)  # whether it was possible, and certain, in the last of these
 
     def bits(self, certain: bool, greatest: bool) -> int:
         """Spread the right side over the states after it, as long as the left side holds."""

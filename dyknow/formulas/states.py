@@ -41,20 +41,15 @@ def clock(nanoseconds: int) -> str:
 
 
 class PortValues:
-    """The messages of a port, by the first state that sees them.
-
-    Attributes:
-        message: the last one that a closed state has seen, and its ``stamp``.
-        latest: greatest stamp of all messages.
-    """
+    """The messages of a port, by the first state that sees them."""
 
     __slots__ = ("_coming", "_counts", "latest", "message", "stamp")
 
     def __init__(self, windows: Iterable[int] = ()) -> None:
         """Prepare a port; ``windows`` are the states over which its messages are counted."""
-        self.message: Any = None
+        self.message: Any = None  # the last one that a closed state has seen, and its stamp
         self.stamp: Optional[int] = None
-        self.latest = -1
+        self.latest = -1  # greatest stamp of all messages
         self._coming: List[Tuple[int, int, Any, int]] = []  # state, stamp, message, count
         longest = max(windows, default=0)
         self._counts: Optional[Deque[int]] = deque(maxlen=longest) if longest else None
@@ -97,12 +92,7 @@ class PortValues:
 class States:
     """One sequence of states of a formula; a quantified formula has one for each individual.
 
-    Attributes:
-        name: the individual, or an empty text.
-        first: number of the first state.
-        ports: the ports, without those of individuals.
-        quantifiers: the individuals of each quantifier.
-        log: explains truths.
+    Its ``ports`` are without those of individuals; its ``log`` explains truths.
     """
 
     __slots__ = (
@@ -118,14 +108,9 @@ class States:
         shared: Mapping[str, PortValues] | None = None,
         name: str = "",
     ) -> None:
-        """Start a sequence.
+        """Start a sequence at the state of a number, of an individual if it has a ``name``.
 
-        Args:
-            formula: to evaluate in each state.
-            settings: how states are made.
-            first: number of the first state.
-            shared: ports that another one closes; for an individual, those outside the quantifier.
-            name: the individual.
+        ``shared`` are ports that another one closes: those outside the quantifier.
         """
         self.name = name
         self.first = first
@@ -256,11 +241,7 @@ class States:
 
 
 class Individuals:
-    """The individuals of a quantifier; each has a sequence of states from its arrival on.
-
-    Attributes:
-        present: the individuals that are there now, by name.
-    """
+    """The individuals of a quantifier; each has a sequence of states from its arrival on."""
 
     def __init__(
         self, formula: tree.Quantified, settings: StateSettings, shared: Mapping[str, PortValues]
@@ -269,7 +250,7 @@ class Individuals:
         self._formula = formula
         self._settings = settings
         self._shared = shared
-        self.present: Dict[str, States] = {}
+        self.present: Dict[str, States] = {}  # those that are there now, by name
         self._looks_ahead = looks_ahead(formula.operand)
         self._leaving: Dict[str, int] = {}  # first states without them
         self._open: Deque[Dict[States, Optional[int]]] = deque()

@@ -85,13 +85,10 @@ class _Part:
 
 
 class Bus:
-    """Delivers by reference between the endpoints of one process.
+    """Delivers by reference between the endpoints of one process; ``transport`` is the outside.
 
-    Args:
-        transport: the outside.
-        clock: steady time.
-        check_topic: raises Denied if nothing must be connected to a topic. It is called for
-            every endpoint of the process.
+    ``check_topic`` raises Denied if nothing must be connected to a topic. It is called for every
+    endpoint of the process.
     """
 
     def __init__(
@@ -207,13 +204,8 @@ class Bus:
     ) -> list[OutsideSubscriber] | None:
         """Disconnect subscriptions, all or none; their queued messages stay.
 
-        Args:
-            connections: their connections.
-            staying: publications of the same nodelet, with their topics.
-
-        Returns:
-            Registrations, which the caller withdraws; None if an end is connected elsewhere by
-            now, or is about to be.
+        ``staying`` are publications of the same nodelet, with their topics. Returns registrations,
+        which the caller withdraws; None if an end is connected elsewhere, or is about to be.
         """
         with self._lock:
             moving = [part.endpoint for part in self._making]
@@ -244,18 +236,11 @@ class Bus:
         """Hold connections, and registrations of publications, for a nodelet that is to come.
 
         When a subscription of the same owner and type is connected to the topic of a connection,
-        it takes that over with all that has come; ``unpark`` withdraws the rest.
+        it takes that over with all that has come; ``unpark`` withdraws the rest. Peers outside are
+        waited for, ``patience`` seconds in all.
 
-        Args:
-            links: subscriptions with their topics; each has its owner.
-            publications: publications with their topics.
-            patience: seconds to wait, in all, for peers outside.
-
-        Returns:
-            Addresses of publishers that do not send to this process yet; then nothing is parked.
-
-        Raises:
-            as ``rewire``.
+        Returns the addresses of publishers that do not send to this process yet; then nothing is
+        parked. Raises what ``rewire`` raises.
         """
         parts = [_Part(link.subscription, link.topic, link) for link in links]
         parts += [_Part(publication, topic) for publication, topic in publications]

@@ -433,9 +433,8 @@ class Publication:
     def sample(self) -> tuple[float | None, int]:
         """Return how old and large a message was, and let the next one be measured.
 
-        Returns:
-            Of the first message after the previous call, the seconds from its stamp to its
-            publication, None if that is not known, and its bytes, 0 if not known.
+        It was the first one after the previous call: the seconds from its stamp to its publication
+        and its bytes, None and 0 where these are not known.
         """
         with message_lock:
             self._is_sample_wanted = True
@@ -451,8 +450,7 @@ class Publication:
     def set_outside_unless_published(self, outside: OutsidePublisher, before: int) -> Any:
         """Publish through ``outside`` if nothing was published since ``before``.
 
-        Returns:
-            The latched message that it is owed; ``NOTHING``, and nothing changes, without one.
+        Returns the latched message that it is owed; without one ``NOTHING``, and nothing changes.
         """
         with message_lock:
             if self.traffic.messages != before:
@@ -470,8 +468,7 @@ class Publication:
     ) -> tuple[int, Any]:
         """Publish on another topic from now on; nowhere, if ``route`` is None.
 
-        Returns:
-            How many messages were published before, and the latched one of them.
+        Returns how many messages were published before, and the latched one of them.
         """
         with message_lock:
             self._fence = fence

@@ -103,10 +103,8 @@ class _Move:
 class HandOvers(Closable):
     """The moves of nodelets from and to this process; for one move of a nodelet at a time.
 
-    Args:
-        loader: has the nodelets.
-        find_class: returns the class of messages of a type; None if there is none.
-        unload: unloads a nodelet; raises UnknownNodelet if that is done already.
+    ``find_class`` returns the class of messages of a type, or None. ``unload`` unloads a nodelet,
+    and raises UnknownNodelet if that is done already.
     """
 
     def __init__(
@@ -148,9 +146,7 @@ class HandOvers(Closable):
     def give(self, name: str, parked: Sequence[HandedTopic] = ()) -> list[HandedTopic]:
         """Unload a noted nodelet; returns its ends, with their messages.
 
-        Args:
-            name: of the nodelet.
-            parked: what ``park`` returned in the new process.
+        ``parked`` is what ``park`` returned in the new process.
 
         Raises:
             CannotMove: it runs on, untouched.

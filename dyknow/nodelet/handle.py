@@ -36,12 +36,9 @@ class PlainNodeHandle:
     _place = "on"
 
     def __init__(self, context: Context, namespace: str, concurrent: bool = False) -> None:
-        """Make a handle.
+        """Make a handle; relative names begin in ``namespace``.
 
-        Args:
-            context: the nodelet's share of the runtime.
-            namespace: where relative names begin.
-            concurrent: whether callbacks may overlap (each subscription keeps its order).
+        Callbacks of a ``concurrent`` one may overlap (each subscription keeps its order).
         """
         self.context = context
         self.namespace = namespace

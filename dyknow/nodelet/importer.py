@@ -48,12 +48,7 @@ class View(Module):
 
 
 class Importer:
-    """The modules of one owner.
-
-    Attributes:
-        modules: by name: views, copies, and modules of the process that these import.
-        path: where modules are searched; code may change it.
-    """
+    """The modules of one owner."""
 
     def __init__(
         self,
@@ -77,7 +72,9 @@ class Importer:
             is_alone: the process is the owner's: copies are in ``sys.modules`` too, and the path
                 is ``sys.path`` itself.
         """
+        #: By name: views, copies, and modules of the process that these import.
         self.modules: dict[str, Module] = {}
+        #: Where modules are searched; code may change it.
         self.path = [*folders, *search, *sys.path]
         self._search = frozenset(search)
         self._is_alone = is_alone

@@ -175,22 +175,15 @@ class LocalSubscriber(OutsideSubscriber):
 
 
 class LocalTransport(Transport):
-    """Topics of one process, and an outside that tests play.
-
-    Attributes:
-        listeners: subscribers outside, by topic.
-        publishers: registered publishers.
-        subscribers: registered subscribers.
-        types: topics that live outside, with their types.
-        codecs: forms of messages, by the value of a port's parameter ``image_transport``.
-    """
+    """Topics of one process, and an outside that tests play."""
 
     def __init__(self) -> None:
+        #: Subscribers outside, by topic.
         self.listeners: dict[str, list[Callable[[Any], None]]] = {}
-        self.publishers: list[LocalPublisher] = []
+        self.publishers: list[LocalPublisher] = []  # that are registered
         self.subscribers: list[LocalSubscriber] = []
-        self.types: dict[str, str] = {}
-        self.codecs: dict[str, Codec] = {}
+        self.types: dict[str, str] = {}  # of topics that live outside
+        self.codecs: dict[str, Codec] = {}  # by the value of a port's parameter image_transport
 
     @property
     def registrations(self) -> list[tuple[str, str]]:
@@ -294,16 +287,11 @@ class LocalServices(Services):
 
 
 class LocalNode(Node):
-    """A process that goes on.
-
-    Attributes:
-        parameters: the parameter server.
-        remappings: of the command line, global names.
-    """
+    """A process that goes on."""
 
     def __init__(self) -> None:
-        self.parameters: dict[str, Any] = {}
-        self.remappings: dict[str, str] = {}
+        self.parameters: dict[str, Any] = {}  # of the parameter server
+        self.remappings: dict[str, str] = {}  # of the command line, global names
 
     def is_shutdown(self) -> bool:
         return False

@@ -25,10 +25,8 @@ _SKEW = 0.02
 class ParkedConnection(Connection):
     """Holds messages for a subscription that is made later, beyond the size of its queue.
 
-    Args:
-        subscription: of the owner and the type of the one that will take it over.
-        topic: where it is connected.
-        digest: returns the bytes by which a message is known in both processes.
+    The given one has the owner and the type of that; ``digest`` returns the bytes by which a
+    message is known in both processes.
     """
 
     __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_made", "_until")
@@ -101,12 +99,9 @@ class ParkedConnection(Connection):
         one here do not count either. Of each latching publisher the last message stays: the new
         instance needs it.
 
-        Args:
-            given: digests with their times of arrival, by the same clock as here.
-            waiting: messages of the nodelet that come before all others.
-
-        Returns:
-            False if the nodelet has the connection already; then nothing is changed.
+        ``given`` are digests with their times of arrival, by the same clock as here; messages that
+        are ``waiting`` come before all others. Returns False, and changes nothing, if the nodelet
+        has the connection already.
         """
         often = collections.Counter(digest for _, digest in given)
         with message_lock:

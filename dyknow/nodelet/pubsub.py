@@ -128,8 +128,7 @@ class Subscriber(_Handle):
     def registerCallback(self, callback: Callable[..., Any], *args: Any) -> int:  # noqa: N802
         """Call back with each message and ``args`` too, as message_filters expects of its inputs.
 
-        Returns:
-            The number of the callback.
+        Returns the number of the callback.
         """
         return self.subscription.add(callback, args)
 

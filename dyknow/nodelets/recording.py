@@ -41,12 +41,9 @@ class KeptMessage(NamedTuple):
 class Recording:
     """Messages of the last seconds, as references; safe from any thread.
 
-    Of each publisher that latches the message before them is kept, too, so that the state of its
-    topic is known. A message of this process does not tell whether its publisher does.
-
-    Args:
-        seconds: age from which on a message goes.
-        size: bytes of all messages, as estimated; beyond it the oldest go.
+    Beyond ``size`` bytes, as estimated, the oldest go. Of each publisher that latches the message
+    before them is kept, too, so that the state of its topic is known. A message of this process
+    does not tell whether its publisher does.
     """
 
     def __init__(self, seconds: float, size: float) -> None:
@@ -110,8 +107,7 @@ def memory_of(value: Any) -> int:
 def write_bag(path: str, kept: Sequence[KeptMessage]) -> int:
     """Write messages into a bag, which has its name once it is complete.
 
-    Returns:
-        How many messages are left out, since they cannot be serialised.
+    Returns how many are left out, since they cannot be serialised.
 
     Raises:
         OSError: it cannot be written.

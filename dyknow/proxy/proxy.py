@@ -76,10 +76,7 @@ class NodeletProxy(Closable):
         return [port.state for port in list(self._ports.values())]
 
     def set_config(self, config: Sequence[tuple[str, str]]) -> None:
-        """Connect ports to topics, all or none.
-
-        Args:
-            config: pairs of a port and a topic; an empty topic disconnects.
+        """Connect ports to topics, all or none; an empty topic disconnects.
 
         Raises:
             InvalidConfiguration: something is wrong with an entry; nothing was changed.

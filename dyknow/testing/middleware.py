@@ -91,14 +91,7 @@ class HarnessServices(LocalServices):
 
 
 class HarnessNode(LocalNode):
-    """The local node with rospy's types and exceptions.
-
-    Attributes:
-        ticker: the time.
-        services: those that nodelets offer.
-        call_service: calls a service by its global name with a request.
-        log: the entries of the nodelets, in order.
-    """
+    """The local node with rospy's types and exceptions; ``log`` has what the nodelets log."""
 
     closed = ClosedHandle
     interrupted = Interrupted

@@ -28,9 +28,8 @@ _FACTORS = (2, 4)
 def measure(name: str, seed: int, times: Sequence[float]) -> tuple[int, list[float]]:
     """Measure the errors of one of ``CAMERAS`` in the world of a seed, at some times (s).
 
-    Returns:
-        The number of frames in which the ball's centre is in the picture, and the distance (m) of
-        the find from the truth for each frame with a find.
+    Returns the number of frames in which the ball's centre is in the picture, and for each frame
+    with a find its distance (m) from the truth.
     """
     world, camera = SoccerWorld(seed), CAMERAS[name]
     view = FieldCamera(camera, seed)

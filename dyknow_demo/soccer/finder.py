@@ -55,34 +55,24 @@ _TOLERANCE, _PIXELS = 0.12, 0.75
 
 @dataclass(frozen=True)
 class Find:
-    """A round region; columns and rows are those of the image in full resolution.
+    """A round region; columns and rows are those of the image in full resolution."""
 
-    Attributes:
-        centre: of the fitted circle, (column, row).
-        radius: pixels.
-        box: left, top, right, bottom of the region itself.
-        outline: points (n, 2) of the outline that lie on the circle.
-        score: 0 to 1: the fraction of the outline on the circle, times the fraction of the inside
-            that is filled; or the score of the forest.
-    """
-
-    centre: tuple[float, float]
-    radius: float
-    box: Box
-    outline: Array
+    centre: tuple[float, float]  # of the fitted circle, (column, row)
+    radius: float  # pixels
+    box: Box  # left, top, right, bottom of the region itself
+    outline: Array  # points (n, 2) of the outline that lie on the circle
+    #: 0 to 1: the fraction of the outline on the circle, times the fraction of the inside that is
+    #: filled; or the score of the forest.
     score: float
 
 
 def find_balls(
     pyramid: Mapping[int, Pixels], colour: Colour, roundness: float = 0.5
 ) -> list[Find]:
-    """Find round regions of a colour, the best first.
+    """Find round regions of a colour that score ``roundness`` (see ``Find``), the best first.
 
-    Args:
-        pyramid: planes by their factor; balls are searched for at the largest factor and confirmed
-            at the smallest one.
-        colour: of the ball.
-        roundness: least score, see ``Find``.
+    The pyramid has planes by their factor. Balls are searched for at the largest factor and
+    confirmed at the smallest one.
     """
     coarse, fine = max(pyramid), min(pyramid)
     _, rows, columns = pyramid[fine].shape
@@ -178,11 +168,7 @@ class Circle(NamedTuple):
 
 
 def fit_circle(points: Array) -> Circle | None:
-    """Fit a circle to points (n, 2), some of which may belong to something else.
-
-    Returns:
-        The circle, or None if none fits.
-    """
+    """Fit a circle, if one fits, to points (n, 2), some of which may belong to something else."""
     on_it = np.ones(len(points), bool)
     for _ in range(_ROUNDS):
         if on_it.sum() < 5:

@@ -168,10 +168,7 @@ MOUNT = "nao_bottom, or the numbers height (m, above 0), pitch and, optionally, 
 
 
 def mount_of(given: Any) -> Mount:
-    """Make a mount from the value of a parameter.
-
-    Args:
-        given: ``"nao_bottom"``, or a mapping with ``height``, ``pitch`` and perhaps ``roll``.
+    """Make a mount of ``"nao_bottom"``, or of a mapping with height, pitch and perhaps roll.
 
     Raises:
         ValueError: it is neither.

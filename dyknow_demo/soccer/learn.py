@@ -226,11 +226,7 @@ def choose(scored: Sequence[Scored]) -> float:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train, evaluate and print.
-
-    Returns:
-        0, or 1 if the frames are of fewer than three days.
-    """
+    """Train, evaluate and print; returns 1 if the frames are of fewer than three days."""
     parser = argparse.ArgumentParser(prog="dyknow_demo.soccer.learn", description=__doc__)
     parser.add_argument(
         "--frames",

@@ -30,21 +30,13 @@ _LENGTH, _REACH = 100, 0.1
 
 @dataclass(frozen=True)
 class Geometry:
-    """Known quantities of camera and ball.
+    """Known quantities of camera and ball."""
 
-    Attributes:
-        camera: intrinsics in full resolution.
-        owner_from_camera: pose of the optical frame in its owner's frame, whose floor is z = 0.
-        ball_radius: m.
-        factor: of the planes in which outlines were found.
-        angle_error: standard deviation, rad, of the direction in which the camera looks.
-    """
-
-    camera: Pinhole
-    owner_from_camera: Array
-    ball_radius: float
-    factor: int
-    angle_error: float = ANGLE_ERROR
+    camera: Pinhole  # in full resolution
+    owner_from_camera: Array  # pose of the optical frame in its owner's, whose floor is z = 0
+    ball_radius: float  # m
+    factor: int  # of the planes in which outlines were found
+    angle_error: float = ANGLE_ERROR  # of the direction of the camera: standard deviation, rad
 
 
 @dataclass(frozen=True)
