@@ -1,15 +1,17 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""What the story runs beside: a ROS master where there is none, and a manager."""
+"""What the story runs beside: a ROS master where there is none, a manager, and a battery."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from typing import Callable, Iterator
+from typing import Any, Callable, Iterator
 
 import rosgraph
+import rospy
+from sensor_msgs.msg import BatteryState
 
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.process.owned import Processes
@@ -18,6 +20,8 @@ from dyknow.ros.wire.master import Master
 #: Names of the nodes that the demonstration starts.
 NAMESPACE = "/dyknow_demo"
 MANAGER = f"{NAMESPACE}/manager"
+#: Seconds between two messages of the battery.
+_PERIOD = 0.1
 
 
 def tell(text: str) -> None:
@@ -68,3 +72,30 @@ def running_manager(
     except DyKnowError:
         processes.check(patience=0.5)  # a process that ended is the better explanation
         raise
+
+
+class Battery:
+    """Publishes the state of a battery until it is closed; its ``level`` is from 0 to 1."""
+
+    def __init__(self, topic: str, level: float) -> None:
+        """Publish on a topic, from a level that stays until ``head_for`` is called."""
+        self.level = self._goal = level
+        self._step = 0.0
+        self._publisher = rospy.Publisher(topic, BatteryState, queue_size=10)
+        self._timer = rospy.Timer(rospy.Duration(_PERIOD), self._publish)
+
+    def head_for(self, level: float, seconds: float) -> None:
+        """Drain, or charge, to a level within some time."""
+        self._goal, self._step = level, abs(level - self.level) * _PERIOD / seconds
+
+    def close(self) -> None:
+        self._timer.shutdown()
+        self._timer.join(1.0)  # it may be publishing; with simulated time it may sleep for ever
+        self._publisher.unregister()
+
+    def _publish(self, event: Any) -> None:
+        left = self._goal - self.level
+        self.level += max(-self._step, min(self._step, left))
+        message = BatteryState(percentage=self.level)
+        message.header.stamp = rospy.Time.now()
+        self._publisher.publish(message)

@@ -31,11 +31,9 @@ from dyknow.model.streams import StreamEvent, StreamRequest
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.messages import model_from
-from dyknow_demo.battery import Battery
-from dyknow_demo.processes import MANAGER, own_processes, running_manager, tell
+from dyknow_demo.processes import MANAGER, Battery, own_processes, running_manager, tell
 from dyknow_demo.soccer.world import SoccerWorld
-from dyknow_demo.telling import Track, changes, draw, to_dot
-from dyknow_demo.timeline import Timeline
+from dyknow_demo.telling import Timeline, Track, changes, draw, to_dot
 
 TAG = "FieldPosition(ball)"
 CHARGED = "Holds(charged, nao)"

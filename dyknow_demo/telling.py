@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The lines and pictures of the story: changes of the graph, and how well the ball is tracked."""
+"""The lines and pictures of the story: the graph, how well the ball is tracked, and verdicts."""
 
 from __future__ import annotations
 
 import statistics
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import AbstractSet, Callable, Iterator
 
@@ -20,6 +22,7 @@ from dyknow_demo.soccer.geometry import Array
 LARGE_ERROR = 0.3
 
 _LAYOUT_TIMEOUT = 20.0  # s
+_COLOURS = {"TRUE": "#8fcf8f", "FALSE": "#e09090", "UNKNOWN": "#cccccc"}
 _KEPT, _NEW, _IDLE = "#cfe2f3", "#c6e7c8", "#eeeeee"
 _HEAD = """digraph story {
   rankdir=TB; nodesep=0.2; ranksep=0.25; labelloc=t; fontname="sans-serif"; fontsize=15;
@@ -82,6 +85,64 @@ class Track:
             max(errors, default=float("nan")),
             max(later - earlier for earlier, later in zip(times, times[1:]) if later >= begin),
         )
+
+
+class Timeline:
+    """Verdicts in order of arrival, with the level of the battery at each."""
+
+    def __init__(self, begin: float, track: Track) -> None:
+        """Note nothing yet; times count from ``begin``, in seconds of the track's clock."""
+        self._begin = begin
+        self._track = track
+        self._found: list[tuple[float, str, float]] = []
+
+    @property
+    def values(self) -> list[str]:
+        """TRUE and FALSE, one for each run of equal verdicts."""
+        known = [each for each in list(self._found) if each[1] != "UNKNOWN"]
+        return [value for value, _ in groupby(known, itemgetter(1))]
+
+    def note(self, arrival: float, value: str, level: float) -> bool:
+        """Add a verdict; returns whether it differs from the one before."""
+        is_other = not self._found or self._found[-1][1] != value
+        self._found.append((arrival - self._begin, value, level))
+        return is_other
+
+    def draw(self, folder: Path, name: str) -> list[Path]:
+        """Draw a picture as PNG and as SVG, into files of that name."""
+        from matplotlib.figure import Figure  # takes a while
+
+        figure = Figure(figsize=(8.0, 4.2))
+        error, battery, verdict = figure.subplots(
+            3, 1, sharex=True, gridspec_kw={"height_ratios": (4, 3, 1)}
+        )
+        points = [(arrival - self._begin, value) for arrival, value in self._track.errors]
+        if points:
+            error.plot(*zip(*points), ".", markersize=3, color="#3060a0")
+        error.set(ylabel="error (m)", ylim=(0.0, None))
+        error.set_title("A verdict decides which camera sees the ball", fontsize="medium")
+        found = list(self._found)
+        times = [when for when, _, _ in found]
+        battery.plot(times, [100 * level for _, _, level in found], color="#606060")
+        battery.axhline(20.0, linestyle="--", linewidth=0.8, color="#606060")
+        battery.set(ylabel="battery (%)", ylim=(0.0, 60.0))
+        runs = [list(run) for _, run in groupby(found, itemgetter(1))]
+        ends = [run[0][0] for run in runs[1:]] + times[-1:]
+        for run, end in zip(runs, ends):
+            begin, value, _ = run[0]
+            verdict.barh(0, end - begin, left=begin, color=_COLOURS[value])
+            verdict.text((begin + end) / 2, 0, value, ha="center", va="center", fontsize="small")
+        verdict.set(yticks=[], ylabel="charged", xlabel="time (s)")
+        figure.align_ylabels()
+        files = _pictures(folder, name)
+        for file in files:
+            figure.savefig(file, dpi=120, bbox_inches="tight")
+        return files
+
+
+def _pictures(folder: Path, name: str) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    return [folder / f"{name}.{form}" for form in ("png", "svg")]
 
 
 def changes(before: Model, after: Model, space: str = "/") -> list[str]:
@@ -160,8 +221,7 @@ def draw(dot: str, folder: Path, name: str) -> list[Path]:
     Raises:
         CannotDraw: drawing failed; the text says why.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.{form}" for form in ("png", "svg")]
+    files = _pictures(folder, name)
     for file in files:
         file.write_bytes(render(dot, file.suffix[1:], _LAYOUT_TIMEOUT))
     return files

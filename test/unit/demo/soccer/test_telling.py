@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
-from dyknow_demo.telling import Stretch, Track, changes, draw, to_dot
-from dyknow_demo.timeline import Timeline
+from dyknow_demo.telling import Stretch, Timeline, Track, changes, draw, to_dot
 
 
 def nodelet(name, state=State.RUNNING, **ports):
