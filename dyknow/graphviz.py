@@ -23,11 +23,7 @@ def quote(*lines: str) -> str:
 
 
 def render(dot: str, form: str, timeout: float) -> bytes:
-    """Draw a graph as `svg` or `png`, within seconds; some 200 nodelets need 15 s.
-
-    Raises:
-        CannotDraw: with the reason.
-    """
+    """Draw a graph as `svg` or `png`, within seconds (200 nodelets need 15); CannotDraw if not."""
     try:
         done = subprocess.run(
             ["dot", f"-T{form}"],

@@ -47,11 +47,7 @@ class Payload(NamedTuple):
 
 
 def payload_of(name: str) -> Payload:
-    """Return the payload of a name: ``time``, or images of a size such as ``640x480``.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """Return the payload ``time``, or images of a size such as ``640x480``; else ValueError."""
     if name == "time":
         return Payload(Time, Time, operator.attrgetter("data"))
     if re.fullmatch(r"[1-9]\d*x[1-9]\d*", name) is None:

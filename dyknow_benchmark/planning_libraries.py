@@ -36,7 +36,6 @@ class Things:
         return frozenset((name, "Thing") if name[:1].islower() else (name,))
 
     def canonical(self, name: str) -> str:
-        """The name."""
         return name
 
 

@@ -31,11 +31,7 @@ def tell(text: str) -> None:
 
 @contextlib.contextmanager
 def own_processes() -> Iterator[Processes]:
-    """Own the demonstration's processes: none, or a ROS master if none answers.
-
-    Raises:
-        DyKnowError: time is simulated.
-    """
+    """Own a ROS master if none answers, else nothing; DyKnowError if time is simulated."""
     is_there = rosgraph.is_master_online()
     with Processes("dyknow_demo") as processes:
         uri = Master(NAMESPACE).uri if is_there else processes.start_master()
@@ -52,11 +48,7 @@ def own_processes() -> Iterator[Processes]:
 def running_manager(
     processes: Processes, is_up: Callable[[], bool], **parameters: object
 ) -> Iterator[None]:
-    """Start a DyKnow manager, ``MANAGER``.
-
-    Raises:
-        DyKnowError: it is there already, or did not come up.
-    """
+    """Start ``MANAGER``; DyKnowError if it is there already, or does not come up."""
     if is_up():
         raise DyKnowError(
             f"{MANAGER} is registered at this master already: another demonstration runs there, "

@@ -216,11 +216,7 @@ def to_dot(
 
 
 def draw(dot: str, folder: Path, name: str) -> list[Path]:
-    """Draw a picture as PNG and as SVG, into files of that name.
-
-    Raises:
-        CannotDraw: drawing failed; the text says why.
-    """
+    """Draw a picture as PNG and as SVG, into files of that name; CannotDraw says why not."""
     files = _pictures(folder, name)
     for file in files:
         file.write_bytes(render(dot, file.suffix[1:], _LAYOUT_TIMEOUT))

@@ -32,6 +32,8 @@ Completer = Callable[..., List[str]]
 _TIMEOUT = 0.2
 #: Seconds after which completion ends without an answer; 100,000 labels would take longer.
 _LIMIT = 1.0
+#: In names of files, what stands for bytes that are not UTF-8.
+_NO_UNICODE = re.compile("[\ud800-\udfff]")
 
 
 def autocomplete(parser: argparse.ArgumentParser) -> None:
@@ -287,16 +289,8 @@ def files(prefix: str, **_: object) -> list[str]:
             found = [each.name + "/" * each.is_dir() for each in entries]
     except OSError:
         return []
-    named = (name for name in found if name.startswith(begin) and _is_unicode(name))
+    named = (name for name in found if name.startswith(begin) and not _NO_UNICODE.search(name))
     return sorted(folder + name for name in named if begin or not name.startswith("."))
-
-
-def _is_unicode(name: str) -> bool:
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _nothing(**_: object) -> list[str]:

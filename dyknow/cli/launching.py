@@ -241,11 +241,7 @@ def read(
     run_id: str = "",
     piped: str = "",
 ) -> ROSLaunchParent:
-    """Make roslaunch's parent and let it read launch files; `-` stands for ``piped``.
-
-    Raises:
-        CannotLaunch: they cannot be read.
-    """
+    """Let roslaunch's parent read launch files, `-` for ``piped``; CannotLaunch if it cannot."""
     sources = [(file, list(given)) for file in files if file != STDIO]
     timeouts = {
         name: getattr(options, name)
@@ -306,11 +302,7 @@ def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> list[Treatment]:
 
 
 def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
-    """Start a launch, whose nodes are treated in their order; return when it has ended.
-
-    Raises:
-        CannotLaunch: it cannot be started.
-    """
+    """Start a launch, its nodes treated, and wait for its end; CannotLaunch if it cannot start."""
     for node, treatment in zip(parent.config.nodes, treatments):
         node.launch_prefix = treatment.prefix or None
     signals.raise_swallowed()  # roslaunch drops all that is raised while it sets up its log

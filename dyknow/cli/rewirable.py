@@ -114,11 +114,7 @@ def _preload(library: str, environment: dict[str, str]) -> None:
 
 
 def become_script(command: Sequence[str]) -> NoReturn:
-    """Replace this process with a Python script whose node is re-wirable.
-
-    Raises:
-        CannotRun: it cannot be started.
-    """
+    """Become a Python script whose node is re-wirable; CannotRun if it cannot be started."""
     python = interpreter(command[0]) or [sys.executable]
     try:
         os.execv(python[0], [*python, "-m", SCRIPT_HOST, *command])

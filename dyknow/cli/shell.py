@@ -83,7 +83,6 @@ class Shell:
 
     @property
     def client(self) -> ShellClient:
-        """The client of the manager."""
         if self._client is None:
             self._client = self._connect()
         return self._client
@@ -110,7 +109,6 @@ class Shell:
                 self.out.write(text)
 
     def write(self, text: str) -> None:
-        """Print a text as it is."""
         with written(self.out):
             self.out.write(text)
 

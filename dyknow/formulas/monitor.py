@@ -74,11 +74,7 @@ class Formula:
     __slots__ = ("of_individuals", "ports", "text", "tree")
 
     def __init__(self, text: str) -> None:
-        """Read a formula.
-
-        Raises:
-            FormulaError: it is not a formula; the error has line and column.
-        """
+        """Read a formula; a FormulaError has line and column."""
         self.text = text
         self.tree = syntax.parse(text)
         self.ports = tree.ports(self.tree)

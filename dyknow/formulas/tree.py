@@ -247,7 +247,6 @@ def _parts(part: Union[Node, Expression]) -> Tuple[Union[Node, Expression], ...]
 
 
 def operands(atom: Atom) -> Tuple[Expression, ...]:
-    """Return the expressions of an atom."""
     return (atom.left, atom.right) if isinstance(atom, Comparison) else (atom.expression,)
 
 

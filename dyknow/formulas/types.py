@@ -74,7 +74,6 @@ class _Checker:
         raise FormulaError(self._text, place, problem)
 
     def kind(self, expression: tree.Expression) -> str:
-        """Return the kind of an expression's values."""
         if isinstance(expression, tree.Text):
             return "text"
         if isinstance(expression, tree.Flag):

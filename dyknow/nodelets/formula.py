@@ -41,7 +41,6 @@ class FormulaNodelet(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         formula = parse(self.nh.get_param("~formula"))
         types = {

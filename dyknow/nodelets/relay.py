@@ -23,12 +23,10 @@ class Relay(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         datatype = get_datatype(self.nh)
         self.pub = self.nh.Publisher("out", datatype, queue_size=100)
         self.sub = self.nh.Subscriber("in", datatype, self.on_message, queue_size=100)
 
     def on_message(self, message: Any) -> None:
-        """Hand a message on."""
         self.pub.publish(message)

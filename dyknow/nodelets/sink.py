@@ -25,7 +25,6 @@ class Sink(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the port and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         datatype = get_datatype(self.nh)
         field = stamp_field(datatype)

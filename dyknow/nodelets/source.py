@@ -28,7 +28,6 @@ class Source(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the port and start the timer."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         self.datatype = get_datatype(self.nh)
         self.owner, _, self.stamp = stamp_field(self.datatype).rpartition(".")

@@ -24,7 +24,6 @@ class Throttle(dyknow.Nodelet):
     """
 
     def on_init(self) -> None:
-        """Declare the ports."""
         self.nh = dyknow.NodeHandle(self.node_handle)
         datatype = get_datatype(self.nh)
         self.period = 1.0 / get_positive(self.nh, "~rate", 1.0, "Hz")

@@ -55,7 +55,6 @@ def measure(name: str, seed: int, times: Sequence[float]) -> tuple[int, list[flo
 
 
 def main() -> None:
-    """Measure and print."""
     print(f"Simulated field, {len(SEEDS)} seeds x {len(_TIMES)} frames: error on the field in m")
     print(f"{'camera':16}{'in view':>8}{'found':>7}{'false':>7}{'median':>8}{'p95':>7}{'max':>7}")
     for name in CAMERAS:

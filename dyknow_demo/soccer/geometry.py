@@ -168,11 +168,7 @@ MOUNT = "nao_bottom, or the numbers height (m, above 0), pitch and, optionally, 
 
 
 def mount_of(given: Any) -> Mount:
-    """Make a mount of ``"nao_bottom"``, or of a mapping with height, pitch and perhaps roll.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """Make a mount of ``"nao_bottom"``, or of height, pitch and perhaps roll; else ValueError."""
     if given == "nao_bottom":
         return Mount(JOINTS, robot_from_bottom_camera)
     needed = {"height", "pitch"}

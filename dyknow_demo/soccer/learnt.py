@@ -55,11 +55,7 @@ class Region(NamedTuple):
 
 
 def load_forest(file: Path = MODEL) -> Any:
-    """Read a forest.
-
-    Raises:
-        ValueError: the file holds no forest.
-    """
+    """Read a forest; ValueError if the file holds none."""
     try:
         return cv2.ml.RTrees_load(str(file))
     except (cv2.error, SystemError):

@@ -62,6 +62,5 @@ COMMANDS = {name: found for group in GROUPS.values() for name, found in group.it
 
 
 def find(name: str) -> Command:
-    """Import a command."""
     found: Command = getattr(import_module(f"{__name__}.{COMMANDS[name][0]}"), f"_{name}")
     return found

@@ -155,11 +155,7 @@ def _base(executable: str) -> str:
 def _settled(
     client: ProxyClient, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
 ) -> list[PortState]:
-    """Wait until a node has made its ports.
-
-    Raises:
-        CannotRun: it ended, or made none in time.
-    """
+    """Wait until a node has made its ports; CannotRun if it ends, or makes none in time."""
     begin = since = time.monotonic()
     ports: list[PortState] = []
     while True:
