@@ -21,15 +21,7 @@ from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
 from types import FrameType
-from typing import (
-    Callable,
-    Generic,
-    Iterator,
-    Optional,
-    TypeVar,
-    Union,
-    cast,
-)
+from typing import Callable, Generic, Iterator, Optional, TypeVar, Union, cast
 
 from dyknow.errors import DyKnowError
 from dyknow.locks import reentrant_state_lock, state_condition, state_lock

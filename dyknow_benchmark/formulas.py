@@ -229,11 +229,7 @@ def _latency(session: Session, count: int, results: Results) -> None:
     given = {"formula": "rate(beat, 1 s) > 0", "datatypes": {"beat": "std_msgs/Header"}}
     for name, value in {**given, "period": period, "delay": 10.0}.items():
         rospy.set_param(f"/formula/{name}", value)
-    manager.load(
-        "/formula",
-        "dyknow/Formula",
-        {"/beat": "/beats", "/holds": "/verdicts"},
-    )
+    manager.load("/formula", "dyknow/Formula", {"/beat": "/beats", "/holds": "/verdicts"})
     sent = 0.0
 
     def hear(message: object, what: str) -> None:

@@ -19,30 +19,10 @@ from dyknow_msgs.srv import SetConfig
 from std_srvs.srv import Trigger
 
 from dyknow.ros.process.owned import START_TIMEOUT
-from dyknow_benchmark.chains import (
-    MANAGERS,
-    PAIR,
-    WARM_UP,
-    ChainPart,
-    Order,
-    build,
-    paired,
-)
+from dyknow_benchmark.chains import MANAGERS, PAIR, WARM_UP, ChainPart, Order, build, paired
 from dyknow_benchmark.options import measurement
-from dyknow_benchmark.results import (
-    Results,
-    Row,
-    Summary,
-    median_interval,
-    spread,
-)
-from dyknow_benchmark.session import (
-    MeasurementFailed,
-    Session,
-    say,
-    seconds,
-    steps,
-)
+from dyknow_benchmark.results import Results, Row, Summary, median_interval, spread
+from dyknow_benchmark.session import MeasurementFailed, Session, say, seconds, steps
 
 _CONTROL = "/benchmark/switch"
 #: Ports that are switched, with their nodelet and the two topics.

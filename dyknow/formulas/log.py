@@ -14,16 +14,7 @@ from bisect import bisect_right
 from typing import Callable, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
 from dyknow.formulas import tree
-from dyknow.formulas.semantics import (
-    FALSE,
-    NOT,
-    TRUE,
-    UNKNOWN,
-    Trace,
-    steps,
-    truth,
-    window,
-)
+from dyknow.formulas.semantics import FALSE, NOT, TRUE, UNKNOWN, Trace, steps, truth, window
 
 #: Most truths that are computed in order to explain one verdict.
 _PATIENCE = 50_000
