@@ -222,10 +222,20 @@ class Bus:
                 self._unlink(each, discard=False)
         return [each.outside for each in connections if each.outside is not None]
 
-    def renew(self, connections: Sequence[Connection]) -> None:
-        """Read on where connections were drained and not left."""
-        for each in connections:
-            self._subscribe_again(each)
+    def renew(self, connection: Connection) -> None:
+        """Renew the registration of a connection that was drained, but is not left."""
+        with self._lock:
+            old = connection.outside
+            if connection.subscription.connection is not connection or old is None:
+                return
+        old.close()
+        registration = self._subscribe(connection)
+        with self._lock:
+            current = connection.subscription.connection is connection
+            if current:
+                connection.outside = registration
+        if not current:
+            registration.close()
 
     def park(
         self,
@@ -451,22 +461,7 @@ class Bus:
             if part.registration is not None:
                 part.registration.close()
             if part.drained is not None:
-                self._subscribe_again(part.drained)
-
-    def _subscribe_again(self, connection: Connection) -> None:
-        """Renew the registration of a connection that was drained, but is not left."""
-        with self._lock:
-            old = connection.outside
-            if connection.subscription.connection is not connection or old is None:
-                return
-        old.close()
-        registration = self._subscribe(connection)
-        with self._lock:
-            current = connection.subscription.connection is connection
-            if current:
-                connection.outside = registration
-        if not current:
-            registration.close()
+                self.renew(part.drained)
 
     def _register(self, part: _Part) -> None:
         end = part.endpoint

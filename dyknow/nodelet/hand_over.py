@@ -126,18 +126,16 @@ class HandOvers(Closable):
         Raises CannotMove if messages would be lost, and UnknownNodelet.
         """
         context = self._context(name)
-        connections = []
+        connections: list[Connection] = []
+        outputs: list[tuple[Publication, str]] = []
         for each in context.endpoints():
             if self._find_class(each.datatype._type) is not each.datatype:
                 what = f"its end at {each.topic or 'no topic'} is of another class than its type's"
                 raise CannotMove(name, what)
-            if isinstance(each, Subscription) and each.connection is not None:
+            if isinstance(each, Publication) and each.topic:
+                outputs.append((each, each.topic))
+            elif isinstance(each, Subscription) and each.connection is not None:
                 connections.append(each.connection)
-        outputs = [
-            (each, each.topic)
-            for each in context.endpoints()
-            if isinstance(each, Publication) and each.topic
-        ]
         self._begin(name, _Move(weakref.ref(context), connections, outputs))
         for connection in connections:
             connection.note(True)
@@ -224,7 +222,8 @@ class HandOvers(Closable):
                 registrations = self._runtime.bus.detach(connections, move.outputs)
         finally:
             if registrations is None:
-                self._runtime.bus.renew(connections)
+                for each in connections:
+                    self._runtime.bus.renew(each)
         if registrations is None:
             raise CannotMove(name, _ELSEWHERE)
         return registrations

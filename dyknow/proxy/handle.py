@@ -52,12 +52,8 @@ class NodeHandle(PlainNodeHandle):
         """
         self._proxy.set_reconfigure_callback(callback)
 
-    def _make_publisher(
-        self, name: str, datatype: Any, *args: Any, **options: Any
-    ) -> PortPublisher:
-        return self._proxy.publisher(self, name, datatype, *args, **options)
+    def _make_publisher(self, *args: Any, **options: Any) -> PortPublisher:
+        return self._proxy.publisher(self, *args, **options)
 
-    def _make_subscriber(
-        self, name: str, datatype: Any, *args: Any, **options: Any
-    ) -> PortSubscriber:
-        return self._proxy.subscriber(self, name, datatype, *args, **options)
+    def _make_subscriber(self, *args: Any, **options: Any) -> PortSubscriber:
+        return self._proxy.subscriber(self, *args, **options)
