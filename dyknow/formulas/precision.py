@@ -13,9 +13,18 @@ from __future__ import annotations
 from collections.abc import Sequence as AbstractSequence
 from ctypes import c_float
 from functools import lru_cache
-from typing import Any, Mapping
+from typing import Any, Callable, Mapping
 
 from dyknow.formulas.types import ARRAY, known_type, type_of
+
+
+def _rounding(compare: Callable[[Any, Any], bool]) -> Any:
+    """Make a comparison that rounds the other side, if it is a double, to 32 bits."""
+
+    def compare_rounded(single: Single, other: Any) -> bool:
+        return compare(single, c_float(other).value if isinstance(other, float) else other)
+
+    return compare_rounded
 
 
 class Single(float):
@@ -23,24 +32,12 @@ class Single(float):
 
     __slots__ = ()
 
-    def __lt__(self, other: float) -> bool:
-        return float.__lt__(self, _rounded(other))
-
-    def __le__(self, other: float) -> bool:
-        return float.__le__(self, _rounded(other))
-
-    def __gt__(self, other: float) -> bool:
-        return float.__gt__(self, _rounded(other))
-
-    def __ge__(self, other: float) -> bool:
-        return float.__ge__(self, _rounded(other))
-
-    def __eq__(self, other: object) -> bool:
-        return float.__eq__(self, _rounded(other))
-
-    def __ne__(self, other: object) -> bool:
-        return float.__ne__(self, _rounded(other))
-
+    __lt__ = _rounding(float.__lt__)
+    __le__ = _rounding(float.__le__)
+    __gt__ = _rounding(float.__gt__)
+    __ge__ = _rounding(float.__ge__)
+    __eq__ = _rounding(float.__eq__)
+    __ne__ = _rounding(float.__ne__)
     __hash__ = float.__hash__
 
     def __abs__(self) -> Single:
@@ -122,7 +119,3 @@ def _read(value: Any, datatype: str) -> Any:
             return value
     array = ARRAY.match(datatype)
     return _Array(value, array.group(1)) if array else narrowed(value)
-
-
-def _rounded(value: Any) -> Any:
-    return c_float(value).value if isinstance(value, float) else value
