@@ -29,23 +29,11 @@ PICTURES = ROOT / "doc" / "images"
 
 #: What is run for each measurement of the page; it writes into a folder of that name.
 COMMANDS: dict[str, Sequence[str]] = {
-    "chain": ("chain",),
-    "fast_chain": ("chain", "--rate", "100"),
-    "images": ("images",),
-    "busy": ("busy",),
-    "outside": ("outside",),
-    "shared": ("shared",),
-    "rewire": ("rewire",),
-    "cpp": ("cpp",),
-    "scripts": ("scripts",),
-    "footprint": ("footprint",),
-    "model": ("model",),
-    "plan": ("plan",),
-    "formulas": ("formulas",),
-    "recover": ("recover",),
-    "failover": ("failover",),
-    "window": ("window",),
+    name: (name,)
+    for name in """chain fast_chain images busy outside shared rewire cpp scripts footprint model
+    plan formulas recover failover window""".split()
 }
+COMMANDS["fast_chain"] = ("chain", "--rate", "100")
 MARKED = re.compile(r"(<!-- begin (\w+)/(\w+)((?: \w+)*) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 

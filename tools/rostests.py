@@ -22,28 +22,9 @@ from reports import read_report
 IN_WORKSPACE = ("bash", str(Path(__file__).resolve().parent / "in-workspace.sh"))
 SUITE_TIMEOUT = 960.0  # s
 #: Suites that take half a minute or longer, the longest first.
-SLOW = (
-    "hosts",
-    "streams",
-    "scripts",
-    "images",
-    "manager",
-    "nodelet_manager",
-    "manager_faults",
-    "dyknow_command",
-    "nodes",
-    "examples",
-    "rewiring",
-    "new_master",
-    "demo",
-    "start",
-    "security",
-    "rqt_window",
-    "formulas",
-    "bus",
-    "launch",
-    "node_handle",
-)
+SLOW = """hosts streams scripts images manager nodelet_manager manager_faults dyknow_command nodes
+    examples rewiring new_master demo start security rqt_window formulas bus launch
+    node_handle""".split()
 #: What each test that is skipped prints: rostest counts it as passed.
 SKIPPED = re.compile(r"^skipped: (.*)", re.MULTILINE)
 
