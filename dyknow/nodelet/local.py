@@ -15,21 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Sequence
 
 from dyknow.locks import assert_no_state_lock, state_condition
-from dyknow.nodelet.middleware import (
-    DIGEST_SIZE,
-    Closable,
-    Codec,
-    Handler,
-    Middleware,
-    Node,
-    OutsidePublisher,
-    OutsideSubscriber,
-    Parameter,
-    Receive,
-    Services,
-    Ticker,
-    Transport,
-)
+from dyknow.nodelet import middleware
 
 
 @dataclass(frozen=True)
@@ -43,7 +29,7 @@ class LocalTimerEvent:
     last_duration: float | None
 
 
-class ManualTicker(Ticker):
+class ManualTicker(middleware.Ticker):
     """Time that stands still until ``advance``.
 
     The thread of the timers waits here. ``next_due`` returns only once that thread has fired
@@ -108,7 +94,7 @@ class ManualTicker(Ticker):
         return not self._used or (self._waiting and not self._woken and not self._is_due())
 
 
-class LocalPublisher(OutsidePublisher):
+class LocalPublisher(middleware.OutsidePublisher):
     """Calls the listeners of ``LocalTransport.listen``, and keeps no message for later ones."""
 
     def __init__(self, transport: LocalTransport, topic: str, datatype: Any) -> None:
@@ -148,11 +134,11 @@ class LocalPublisher(OutsidePublisher):
         self.transport.withdraw(self.transport.publishers, self)
 
 
-class LocalSubscriber(OutsideSubscriber):
+class LocalSubscriber(middleware.OutsideSubscriber):
     """Receives what ``LocalTransport.send`` sends."""
 
     def __init__(
-        self, transport: LocalTransport, topic: str, datatype: Any, receive: Receive
+        self, transport: LocalTransport, topic: str, datatype: Any, receive: middleware.Receive
     ) -> None:
         self.transport = transport
         self.topic = topic
@@ -174,7 +160,7 @@ class LocalSubscriber(OutsideSubscriber):
         self.transport.withdraw(self.transport.subscribers, self)
 
 
-class LocalTransport(Transport):
+class LocalTransport(middleware.Transport):
     """Topics of one process, and an outside that tests play."""
 
     def __init__(self) -> None:
@@ -183,7 +169,8 @@ class LocalTransport(Transport):
         self.publishers: list[LocalPublisher] = []  # that are registered
         self.subscribers: list[LocalSubscriber] = []
         self.types: dict[str, str] = {}  # of topics that live outside
-        self.codecs: dict[str, Codec] = {}  # by the value of a port's parameter image_transport
+        #: By the value of a port's parameter ``image_transport``.
+        self.codecs: dict[str, middleware.Codec] = {}
 
     @property
     def registrations(self) -> list[tuple[str, str]]:
@@ -223,7 +210,7 @@ class LocalTransport(Transport):
         return LocalPublisher(self, topic, datatype)
 
     def subscribe(
-        self, topic: str, datatype: Any, receive: Receive, options: dict[str, Any]
+        self, topic: str, datatype: Any, receive: middleware.Receive, options: dict[str, Any]
     ) -> LocalSubscriber:
         assert_no_state_lock(f"subscribing to {topic}")
         return LocalSubscriber(self, topic, datatype, receive)
@@ -235,11 +222,11 @@ class LocalTransport(Transport):
     def is_published(self, topic: str) -> bool:
         return topic in self.types or any(each.topic == topic for each in self.publishers)
 
-    def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
+    def codec(self, datatype: Any, parameter: middleware.Parameter) -> middleware.Codec | None:
         return self.codecs.get(parameter("image_transport", "")) if self.codecs else None
 
     def digest(self, message: Any) -> bytes:
-        return hashlib.blake2b(repr(message).encode(), digest_size=DIGEST_SIZE).digest()
+        return hashlib.blake2b(repr(message).encode(), digest_size=middleware.DIGEST_SIZE).digest()
 
     def pack(self, message: Any) -> bytes:
         return pickle.dumps(message)
@@ -255,12 +242,12 @@ class LocalTransport(Transport):
 
 
 @dataclass
-class LocalService(Closable):
+class LocalService(middleware.Closable):
     """One offered service."""
 
-    handlers: dict[str, Handler]
+    handlers: dict[str, middleware.Handler]
     name: str
-    handler: Handler
+    handler: middleware.Handler
 
     def close(self) -> None:
         assert_no_state_lock(f"withdrawing {self.name}")
@@ -268,25 +255,29 @@ class LocalService(Closable):
             del self.handlers[self.name]
 
 
-class LocalServices(Services):
+class LocalServices(middleware.Services):
     """Services that a test calls; ``handlers`` has them by global name."""
 
     def __init__(self) -> None:
-        self.handlers: dict[str, Handler] = {}
+        self.handlers: dict[str, middleware.Handler] = {}
 
     def call(self, service: str, request: Any) -> Any:
         """Call a service from outside."""
         return self.handlers[service](request)
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
+        self,
+        service: str,
+        service_class: Any,
+        handler: middleware.Handler,
+        options: dict[str, Any],
     ) -> LocalService:
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler
         return LocalService(self.handlers, service, handler)
 
 
-class LocalNode(Node):
+class LocalNode(middleware.Node):
     """A process that goes on."""
 
     def __init__(self) -> None:
@@ -313,7 +304,7 @@ class LocalNode(Node):
 
 
 @dataclass(frozen=True)
-class LocalMiddleware(Middleware):
+class LocalMiddleware(middleware.Middleware):
     """Everything that ROS would do, done with dictionaries."""
 
     transport: LocalTransport = field(default_factory=LocalTransport)
