@@ -93,10 +93,7 @@ def chain(arguments: argparse.Namespace, results: Results) -> None:
 
 
 def report_chain(
-    results: Results,
-    rate: float,
-    blocks: Mapping[str, Block],
-    differences: Mapping[int, list[float]],
+    results: Results, rate: float, blocks: dict[str, Block], differences: dict[int, list[float]]
 ) -> None:
     """Make tables, the figure and the verdicts of the measured blocks; targets are for 50 hops."""
     summaries = {

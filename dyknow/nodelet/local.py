@@ -266,11 +266,7 @@ class LocalServices(middleware.Services):
         return self.handlers[service](request)
 
     def offer(
-        self,
-        service: str,
-        service_class: Any,
-        handler: middleware.Handler,
-        options: dict[str, Any],
+        self, service: str, service_class: Any, handler: middleware.Handler, options: Any
     ) -> LocalService:
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Dict, Sequence
 
 from dyknow.errors import DyKnowError, HandleClosed
 
 Receive = Callable[[Any], None]
 Handler = Callable[[Any], Any]
+Options = Dict[str, Any]
 
 Converter = Callable[[Any, Any], Any]
 """Returns a message in the given class, which is one of its type."""
@@ -136,12 +137,7 @@ class Transport(ABC):
 
     @abstractmethod
     def advertise(
-        self,
-        topic: str,
-        datatype: Any,
-        latch: bool,
-        queue_size: int | None,
-        options: dict[str, Any],
+        self, topic: str, datatype: Any, latch: bool, queue_size: int | None, options: Options
     ) -> OutsidePublisher:
         """Register a publisher of a global topic name.
 
@@ -151,7 +147,7 @@ class Transport(ABC):
 
     @abstractmethod
     def subscribe(
-        self, topic: str, datatype: Any, receive: Receive, options: dict[str, Any]
+        self, topic: str, datatype: Any, receive: Receive, options: Options
     ) -> OutsideSubscriber:
         """Register a subscriber; ``receive`` gets every message from outside, on any thread."""
 
@@ -211,7 +207,7 @@ class Services(ABC):
 
     @abstractmethod
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
+        self, service: str, service_class: Any, handler: Handler, options: Options
     ) -> Closable:
         """Offer a service under a global name; ``handler`` is called on any thread."""
 

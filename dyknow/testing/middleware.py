@@ -98,15 +98,12 @@ class HarnessNode(LocalNode):
     timed_out = MessageTimeout
 
     def __init__(
-        self,
-        ticker: HarnessTicker,
-        services: HarnessServices,
-        call_service: Callable[[str, Any], Any],
+        self, ticker: HarnessTicker, services: HarnessServices, call: Callable[[str, Any], Any]
     ) -> None:
         super().__init__()
         self.ticker = ticker
         self.services = services
-        self.call_service = call_service
+        self.call = call
         self.log: list[LogEntry] = []
 
     def member(self, name: str, handle: Any) -> Any:
@@ -229,7 +226,7 @@ class LocalServiceProxy:
     def __call__(self, *args: Any, **kwds: Any) -> Any:
         """Call it with a request or its fields."""
         request = rospy.msg.args_kwds_to_message(self.request_class, args, kwds)
-        return self._node.call_service(self.resolved_name, request)
+        return self._node.call(self.resolved_name, request)
 
     call = __call__
 
