@@ -15,14 +15,11 @@ from typing import Callable
 
 from dyknow.locks import state_lock
 
-#: Seconds of the longest pause.
-LONGEST = 30.0
-#: Seconds of good service after which earlier failures are forgiven.
-FORGIVEN_AFTER = 10.0
+LONGEST = 30.0  # seconds of the longest pause
+FORGIVEN_AFTER = 10.0  # seconds of good service after which earlier failures are forgiven
 #: A pause is no longer than this part of the good service before it, if that took so many seconds.
 SHARE, _SERVICE = 0.1, 1.0
-#: Seconds after which a failure is forgotten in any case.
-MEMORY = 3600.0
+MEMORY = 3600.0  # seconds after which a failure is forgotten in any case
 
 _MOST_DOUBLINGS = 16
 

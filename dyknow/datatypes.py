@@ -15,8 +15,7 @@ import re
 import sys
 from pathlib import Path
 
-#: How a type is written that matches every one: not known, or any on purpose.
-ANY = ("", "*")
+ANY = ("", "*")  # how a type is written that matches every one: not known, or any on purpose
 
 _NAME = re.compile(r"([A-Za-z]\w*)/([A-Za-z]\w*)\Z", re.ASCII)
 _CHECKSUM = re.compile(r'^\s*_md5sum = "([0-9a-f]{32})"', re.MULTILINE)

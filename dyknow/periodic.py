@@ -26,12 +26,9 @@ from typing import Callable, Generic, Iterator, Optional, TypeVar, Union, cast
 from dyknow.errors import DyKnowError
 from dyknow.locks import reentrant_state_lock, state_condition, state_lock
 
-#: Least seconds between two rounds of a key, however often it is woken.
-PAUSE = 0.05
-#: Seconds until a round that failed is repeated.
-RETRY = 0.5
-#: Seconds between two ticks of a running clock.
-_TICK = 0.1
+PAUSE = 0.05  # least seconds between two rounds of a key, however often it is woken
+RETRY = 0.5  # seconds until a round that failed is repeated
+_TICK = 0.1  # seconds between two ticks of a running clock
 #: Seconds that count at most between two of its readings; longer gaps are pauses of the process.
 LONGEST_TICK = 0.3
 

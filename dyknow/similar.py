@@ -9,10 +9,8 @@ import difflib
 from itertools import islice
 from typing import Iterable
 
-#: Most names that are compared, which takes a tenth of a second.
-_COMPARED = 10_000
-#: Characters of the longest name that suggestions are made for.
-LONGEST = 200
+_COMPARED = 10_000  # most names that are compared, which takes a tenth of a second
+LONGEST = 200  # characters of the longest name that suggestions are made for
 
 
 def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str = "") -> str:

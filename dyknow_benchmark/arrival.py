@@ -47,8 +47,7 @@ _PAPERS = [kind for kind in KINDS if kind not in ("isolated", "script", "cpp_liv
 _FOOTPRINTS = ["dyknow", "nodelet", "cpp_nodelet", "node", "cpp_node"]
 #: Options that ``chain --quick`` stands for; each can be given too.
 QUICK = ("--rate", "100", "--messages", "400")
-#: Parts that are set up first: they load the shared modules.
-_BEFORE = 3
+_BEFORE = 3  # parts that are set up first: they load the shared modules
 
 
 @measurement(

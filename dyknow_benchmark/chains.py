@@ -39,12 +39,10 @@ MANAGERS = {
 
 #: Seconds between an order to send and the first message, so that the order has arrived.
 _LEAD = 0.1
-#: Seconds without a further report after which a message counts as lost.
-_TAIL = 1.0
+_TAIL = 1.0  # seconds without a further report after which a message counts as lost
 #: Messages at the start of every block that do not count, and those that do, in turns.
 WARM_UP, _BLOCK = 5, 50
-#: Messages of each chain in a pair.
-PAIR = 25
+PAIR = 25  # messages of each chain in a pair
 
 K = TypeVar("K", bound=Hashable)
 

@@ -18,14 +18,12 @@ from typing import Callable, Sequence
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Subsumption
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 
-#: Length of a chain of the deep library, and layers of the dense one.
-_DEPTH = 100
+_DEPTH = 100  # length of a chain of the deep library, and layers of the dense one
 #: Layers of a library of rules, and transformations that make one kind of stream.
 _LAYERS = 10
 _ALTERNATIVES = 10
 _INDIVIDUALS = 5
-#: Devices in a room.
-_DEVICES = 21
+_DEVICES = 21  # devices in a room
 
 
 class Things:

@@ -29,8 +29,7 @@ _CONTROL = "/benchmark/switch"
 _ENDS = {"in": ("sink", ("even", "odd")), "out": ("source", ("left", "right"))}
 #: Topics of the ports of both nodelets at first.
 _WIRED = {**{each: each for each in ("even", "odd", "left", "right")}, "in": "even", "out": "left"}
-#: Periods between two switches of one port, so that messages of each topic arrive.
-_PAUSE = 2.0
+_PAUSE = 2.0  # periods between two switches of one port, so that messages of each topic arrive
 
 
 class _Port:

@@ -33,12 +33,10 @@ from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 _PATIENCE = 180.0
-#: Seconds that something must hold for it to be over.
-_REST = 2.0
+_REST = 2.0  # seconds that something must hold for it to be over
 #: Nothing happens for so many seconds.
 _IDLE, IDLE = 8.0, "idle"
-#: Frames of each movement.
-_FRAMES = 60
+_FRAMES = 60  # frames of each movement
 
 
 class Tick(NamedTuple):

@@ -20,8 +20,7 @@ from dyknow.ros.wire.master import Master
 #: Names of the nodes that the demonstration starts.
 NAMESPACE = "/dyknow_demo"
 MANAGER = f"{NAMESPACE}/manager"
-#: Seconds between two messages of the battery.
-_PERIOD = 0.1
+_PERIOD = 0.1  # seconds between two messages of the battery
 
 
 def tell(text: str) -> None:

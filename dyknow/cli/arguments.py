@@ -20,8 +20,7 @@ from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Parameter
 
 DEFAULT_MANAGER = "/dyknow_manager"
-#: Seconds that a duration of ROS cannot hold any more.
-_HIGHEST = 2**31
+_HIGHEST = 2**31  # seconds that a duration of ROS cannot hold any more
 
 
 class Parser(argparse.ArgumentParser):
@@ -137,8 +136,7 @@ def positive(text: str) -> int:
 #: Options of an option that takes several values, and may be repeated.
 SEVERAL: Any = {"nargs": "+", "action": "extend", "default": []}
 
-#: Options of an option that may be repeated.
-REPEATED: Any = {"action": "append", "default": []}
+REPEATED: Any = {"action": "append", "default": []}  # options of an option that may be repeated
 
 #: How the values of a placeholder are read and completed, unless an argument says otherwise.
 KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
@@ -171,8 +169,7 @@ KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
 }
 
 
-#: Adds an argument, or a group of them, to a parser.
-Argument = Callable[[Any], None]
+Argument = Callable[[Any], None]  # adds an argument, or a group of them, to a parser
 
 
 def group(*arguments: Argument, title: str = "") -> Argument:

@@ -47,5 +47,4 @@ def load(manager: str, data: bytes, file: str, most: int, from_files: Collection
     carry_out(steps_of(plan, client))
 
 
-#: For the manager's node.
-CALLS = WiringCalls(check, load)
+CALLS = WiringCalls(check, load)  # for the manager's node

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 #: What argcomplete calls, with the keywords `prefix`, `action`, `parser` and `parsed_args`.
 Completer = Callable[..., List[str]]
 
-#: Seconds to wait for each answer.
-_TIMEOUT = 0.2
+_TIMEOUT = 0.2  # seconds to wait for each answer
 #: Seconds after which completion ends without an answer; 100,000 labels would take longer.
 _LIMIT = 1.0
 #: In names of files, what stands for bytes that are not UTF-8.

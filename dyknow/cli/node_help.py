@@ -3,8 +3,7 @@
 
 """What `--help` prints for the nodes: what each is, its parameters, and its services."""
 
-#: Words that ask for it.
-HELP = frozenset({"-h", "--help"})
+HELP = frozenset({"-h", "--help"})  # words that ask for it
 
 _ROS_ARGUMENTS = """\
 As everywhere in ROS, _PARAMETER:=VALUE sets a private parameter, __name:=NAME names the

@@ -21,8 +21,7 @@ from dyknow.cli.node_help import HELP, NODELET_MANAGER
 from dyknow.errors import CannotRun
 from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED
 
-#: The nodelet that runs scripts.
-SCRIPT_TYPE = "dyknow/Script"
+SCRIPT_TYPE = "dyknow/Script"  # the nodelet that runs scripts
 #: The words that each command demands.
 _WORDS: dict[str, tuple[str, ...]] = {
     "manager": (),

@@ -229,8 +229,7 @@ class Screen:
         return text + _CLEAR_BELOW
 
 
-#: The name of standard input, or output, among files.
-STDIO = "-"
+STDIO = "-"  # the name of standard input, or output, among files
 
 
 def read_file(path: str) -> bytes:

@@ -23,8 +23,7 @@ if __name__ == "__main__":
 from dyknow.errors import CannotRun
 from dyknow.ros.process.programs import ELF, first_line, interpreter
 
-#: The library in front of libroscpp.
-LIBRARY = "libdyknow_roscpp.so"
+LIBRARY = "libdyknow_roscpp.so"  # the library in front of libroscpp
 #: Why it cannot be put there.
 NO_LIBRARY = (
     f"{LIBRARY} is not there: no workspace on CMAKE_PREFIX_PATH has it; DyKnow was built without "

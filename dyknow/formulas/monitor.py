@@ -17,8 +17,7 @@ from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
 from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
 
-#: Most states that bounds may span.
-MAX_STATES = 1_000_000
+MAX_STATES = 1_000_000  # most states that bounds may span
 #: Nanoseconds ahead of the clock up to which all messages are kept: a source's clock may differ.
 _AHEAD = 10 * tree.SECOND
 

@@ -16,8 +16,7 @@ from dyknow.similar import did_you_mean
 ARRAY = re.compile(r"(.*)\[\d*\]\Z")
 _NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _NUMBERS |= {"float32", "float64", "byte", "char", "time", "duration"}
-#: Most names that an error lists.
-_LISTED = 30
+_LISTED = 30  # most names that an error lists
 
 
 class MessageType(NamedTuple):

@@ -38,8 +38,7 @@ from dyknow.periodic import NO_THREAD, in_background
 
 #: How long the registration of an old topic stays at most while its messages are being sent, in s.
 _LONGEST_DRAIN = 30.0
-#: How long `release()` waits for queued messages to be sent, in seconds.
-_RELEASE_DRAIN = 0.2
+_RELEASE_DRAIN = 0.2  # how long `release()` waits for queued messages to be sent, in seconds
 #: After such a wait timed out, skip it for this long: some subscriber is stalled.
 _DRAIN_PAUSE = 2.0
 #: Seconds for receiving what old publishers have sent; it has come to this machine already.

@@ -27,12 +27,9 @@ from dyknow.nodelet.scheduler import Executor, Strand
 from dyknow.nodelet.texts import encodable, sendable
 from dyknow.nodelet.timers import Timer, TimerQueue
 
-#: Seconds between two log entries of errors of one type at the same place.
-_LOG_PAUSE = 1.0
-#: Seconds for which the last error of a callback is reported.
-_RECENT = 30.0
-#: Errors that are counted apart; with one more the counts start again.
-_LOG_PLACES = 100
+_LOG_PAUSE = 1.0  # seconds between two log entries of errors of one type at the same place
+_RECENT = 30.0  # seconds for which the last error of a callback is reported
+_LOG_PLACES = 100  # errors that are counted apart; with one more the counts start again
 
 Part = TypeVar("Part", bound=Closable)
 
@@ -111,8 +108,7 @@ class Context:
         my_argv: Sequence[str] = (),
     ) -> None:
         self.runtime = runtime
-        #: Runs the strands that are made from now on.
-        self.executor = runtime.executor
+        self.executor = runtime.executor  # runs the strands that are made from now on
         self.name = name
         self.remappings = dict(remappings or {})
         self.my_argv = tuple(my_argv)
@@ -127,8 +123,7 @@ class Context:
         #: Threads of its own that have not ended at the unload.
         self.late_threads: list[threading.Thread] = []
         self.started_at = runtime.clock()
-        #: Set by the host: unloads this nodelet.
-        self.unload: Callable[[], None] = self.close
+        self.unload: Callable[[], None] = self.close  # set by the host: unloads this nodelet
         #: Set by the host: opens services for the attachment.
         self.on_attach: Callable[[Context, Any], Closable | None] = lambda context, thing: None
         self.attached: Any = None

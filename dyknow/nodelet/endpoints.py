@@ -28,8 +28,7 @@ from dyknow.nodelet.middleware import (
 )
 from dyknow.nodelet.scheduler import Clock, Strand, message_lock
 
-#: Stands for "no message", since a message may be None.
-NOTHING: Any = object()
+NOTHING: Any = object()  # stands for "no message", since a message may be None
 #: A rate is taken over the last one to two stretches of so many messages, so that it follows.
 _STRETCH = 32
 #: Shorter silences are none; a longer one is if it is also longer than some messages took.
@@ -259,8 +258,7 @@ class Subscription:
         self.owner = owner
         #: With the arguments that follow the message.
         self._callbacks: tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...] = ()
-        #: Called with each message, on the strand.
-        self.receive: Receive = _ignore
+        self.receive: Receive = _ignore  # called with each message, on the strand
         self.traffic = Traffic(strand.clock)
         self.connection: Connection | None = None
         #: Once a publication of a special class of messages has been on its topic.
@@ -349,8 +347,7 @@ class Publication:
         self.topic = ""
         self.traffic = Traffic(clock)
         self.latched = NOTHING
-        #: The registration in ROS.
-        self.outside: OutsidePublisher | None = None
+        self.outside: OutsidePublisher | None = None  # the registration in ROS
         self.closed = False
         self._build = transport.build
         self._converter = transport.converter(datatype)

@@ -50,14 +50,10 @@ from dyknow.periodic import in_background
 #: Seconds for publishers and subscribers to connect to the new process, and for the publishers of
 #: a topic on which messages flow to send the next one.
 PATIENCE = 2.0
-#: The same for the publishers of a silent topic, which cost that much.
-_SILENCE = 0.25
-#: Seconds to drain the sockets of a nodelet, and for its callback to return.
-LONGEST_END = 3.0
-#: Seconds after which an unfinished move is abandoned.
-_EXPIRY = 120.0
-#: The same, once the nodelet was given away and while it is not being loaded.
-_LOAD_EXPIRY = 10.0
+_SILENCE = 0.25  # the same for the publishers of a silent topic, which cost that much
+LONGEST_END = 3.0  # seconds to drain the sockets of a nodelet, and for its callback to return
+_EXPIRY = 120.0  # seconds after which an unfinished move is abandoned
+_LOAD_EXPIRY = 10.0  # the same, once the nodelet was given away and while it is not being loaded
 #: Seconds between two looks whether it is to be.
 _LOOK = 1.0
 _STEP = 0.002
@@ -115,8 +111,7 @@ class HandOvers(Closable):
         self._find_class = find_class
         self._unload = unload
         self._lock = state_lock("moves of nodelets")
-        #: By nodelet.
-        self._moves: dict[str, _Move] = {}
+        self._moves: dict[str, _Move] = {}  # by nodelet
 
     # In the old process
 

@@ -20,8 +20,7 @@ from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.timers import Timer
 
-#: rospy's default, in bytes.
-DEFAULT_BUFF_SIZE = 65536
+DEFAULT_BUFF_SIZE = 65536  # rospy's default, in bytes
 
 
 class PlainNodeHandle:
@@ -32,8 +31,7 @@ class PlainNodeHandle:
     are rospy's own. The signatures are rospy's too, and written here alone.
     """
 
-    #: The preposition of a message's origin, in errors.
-    _place = "on"
+    _place = "on"  # the preposition of a message's origin, in errors
 
     def __init__(self, context: Context, namespace: str, concurrent: bool = False) -> None:
         """Make a handle; relative names begin in ``namespace``.
@@ -210,8 +208,7 @@ class Inbox(Closable):
     def __init__(self, context: Context) -> None:
         self._context = context
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        #: The thread that is about to put the message, if that is known.
-        self.putting = 0
+        self.putting = 0  # the thread that is about to put the message, if that is known
 
     def put(self, message: Any) -> None:
         self._queue.put((message,))

@@ -37,12 +37,9 @@ from dyknow import names
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import Fence
 
-#: Seconds that a lease holds; a manager that ends on purpose grants longer ones.
-DURATION = 2.0
-#: Seconds without a renewal after which the manager's host is probed.
-PROBE_AFTER = 0.8
-#: Seconds from a probe that extends a lease to the next one.
-PROBE_AGAIN = 0.3
+DURATION = 2.0  # seconds that a lease holds; a manager that ends on purpose grants longer ones
+PROBE_AFTER = 0.8  # seconds without a renewal after which the manager's host is probed
+PROBE_AGAIN = 0.3  # seconds from a probe that extends a lease to the next one
 
 
 class Sight(enum.Enum):

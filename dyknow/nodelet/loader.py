@@ -30,8 +30,7 @@ from dyknow.nodelet.memory import clear_frames
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import NO_THREAD, in_background
 
-#: Seconds that an unload waits for ``on_shutdown``.
-SHUTDOWN_PATIENCE = 1.0
+SHUTDOWN_PATIENCE = 1.0  # seconds that an unload waits for ``on_shutdown``
 #: Seconds that a load waits for a nodelet of that name which is being unloaded.
 _UNLOAD_PATIENCE = 3.0
 #: Seconds that a nodelet has for itself when all are unloaded, before the next one's turn.
@@ -98,8 +97,7 @@ class _Entry:
     state: _State = _State.LOADING
     nodelet: Nodelet | None = None
     runs: list[_Run] = field(default_factory=list)
-    #: Runs ``on_shutdown``; None for a nodelet that never ran.
-    shutdown: _Run | None = None
+    shutdown: _Run | None = None  # runs ``on_shutdown``; None for a nodelet that never ran
 
     def age(self) -> float:
         """Seconds for which code of the nodelet has been running; 0.0 if none runs."""
@@ -128,8 +126,7 @@ class Loader:
         self._on_unloaded = on_unloaded
         self._changed = state_condition("loader")
         self._entries: dict[str, _Entry] = {}
-        #: Nodelets that were unloaded and are not gone yet.
-        self.leftovers = Leftovers()
+        self.leftovers = Leftovers()  # nodelets that were unloaded and are not gone yet
 
     def list(self) -> builtins.list[str]:
         """Names of the running nodelets, sorted."""

@@ -18,8 +18,7 @@ import weakref
 from typing import Any
 
 _M_ARENA_MAX = -8
-#: Objects that are examined to free one; with more it is left to Python.
-_MOST = 20_000
+_MOST = 20_000  # objects that are examined to free one; with more it is left to Python
 #: Types that are not looked into: they refer to shared objects, or to running code.
 _OPAQUE: tuple[type[Any], ...] = (
     type,

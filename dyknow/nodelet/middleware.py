@@ -32,8 +32,7 @@ Parameter = Callable[[str, Any], Any]
 
 #: Stands for all subscribers of this process: among the peers of a publication they are one.
 HERE: Any = object()
-#: Bytes of the digest of a message.
-DIGEST_SIZE = 16
+DIGEST_SIZE = 16  # bytes of the digest of a message
 
 
 class Closable(ABC):

@@ -33,11 +33,9 @@ _STANDARD = tuple(os.path.join(sysconfig.get_paths()[key], "") for key in ("stdl
 _THIRD_PARTY = ("site-packages", "dist-packages")
 #: Folders of a package that import no library: generated messages, and tests.
 _LEFT_OUT = frozenset(("msg", "srv", "cfg", "test", "tests", "__pycache__"))
-#: A package with more files than this is not a library for ROS.
-_MOST_FILES = 100
+_MOST_FILES = 100  # a package with more files than this is not a library for ROS
 
-#: Nanoseconds: more than reading and compiling a file takes.
-_WELL_AFTER = 2_000_000_000
+_WELL_AFTER = 2_000_000_000  # nanoseconds: more than reading and compiling a file takes
 
 Stamp = Tuple[int, int]
 

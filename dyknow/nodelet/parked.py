@@ -18,8 +18,7 @@ from dyknow.nodelet.scheduler import message_lock
 
 #: Seconds for which a message may be late here that the other process had received.
 LATENESS = 3.0
-#: Seconds by which a message may come earlier there than here, at most.
-_SKEW = 0.02
+_SKEW = 0.02  # seconds by which a message may come earlier there than here, at most
 
 
 class ParkedConnection(Connection):
@@ -37,8 +36,7 @@ class ParkedConnection(Connection):
         super().__init__(subscription, topic)
         self._digest = digest
         self._made = self._strand.clock()
-        #: When its first message came; 0 before.
-        self._began = 0.0
+        self._began = 0.0  # when its first message came; 0 before
         #: How often each message is yet to be left out, until a moment.
         self._due: Counter[bytes] = collections.Counter()
         self._until = 0.0

@@ -40,8 +40,7 @@ from dyknow.nodelet.module_files import (
 )
 
 _BASE_CLASS = "dyknow.Nodelet"
-#: The runtime's own package, which is never loaded again.
-_OURS = "dyknow"
+_OURS = "dyknow"  # the runtime's own package, which is never loaded again
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,8 @@ from dyknow.periodic import NO_THREAD, current_frames
 Task = Callable[[], object]
 Clock = Callable[[], float]
 
-#: Period of the watchdog while there is work, in seconds.
-_LOOK = 0.2
-#: Seconds for which a thread without work stays in a pool that grows.
-_STAY = 5.0
+_LOOK = 0.2  # period of the watchdog while there is work, in seconds
+_STAY = 5.0  # seconds for which a thread without work stays in a pool that grows
 
 _log = logging.getLogger("rosout.dyknow")
 
@@ -225,8 +223,7 @@ class _Worker:
     """One thread of a pool."""
 
     def __init__(self) -> None:
-        #: The one that it runs; None while it waits.
-        self.strand: Strand | None = None
+        self.strand: Strand | None = None  # the one that it runs; None while it waits
         #: Whether it is to end as soon as it can, since another was hired in its place.
         self.replaced = False
         self.wake = flag_lock()  # taken while it sleeps

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-#: Characters of the text of an error.
-LONGEST = 4096
+LONGEST = 4096  # characters of the text of an error
 
 
 def encodable(text: str) -> str:

@@ -30,8 +30,7 @@ _log = logging.getLogger("rosout.dyknow")
 #: period that they may be.
 _PAUSE = 0.002
 _PART_OF_PERIOD = 0.1
-#: When simulated time begins: at any moment after 0.
-_FIRST_MOMENT = sys.float_info.min
+_FIRST_MOMENT = sys.float_info.min  # when simulated time begins: at any moment after 0
 
 
 class Timer:

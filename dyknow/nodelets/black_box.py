@@ -26,15 +26,13 @@ from dyknow.ros.parameters import get_positive
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.message_classes import message_class
 
-#: Seconds between two looks for topics, and at a model that has not been read yet.
-_LOOK = 1.0
+_LOOK = 1.0  # seconds between two looks for topics, and at a model that has not been read yet
 #: A model is read when this many times the processor's time for that has passed: it may be large.
 _REST = 50.0
 _LOST = (Nodelet.LOST, Nodelet.FAILED)
 _TROUBLED = (StreamStatus.DEGRADED, StreamStatus.RECOVERING, StreamStatus.FAILED)
 _MADE = (StreamStatus.ACTIVE, *_TROUBLED)
-#: Topic of a bag with the cause of it.
-CAUSE = "/dyknow/black_box/cause"
+CAUSE = "/dyknow/black_box/cause"  # topic of a bag with the cause of it
 
 
 class BlackBox(dyknow.Nodelet):
@@ -79,11 +77,9 @@ class BlackBox(dyknow.Nodelet):
         self.states: dict[str, int] = {}
         self.model: Any = None
         self.readable = 0.0
-        #: Causes of a bag that waits for the messages after them.
-        self.causes: list[str] = []
+        self.causes: list[str] = []  # causes of a bag that waits for the messages after them
         self.written = -self.pause
-        #: Bags that it has written, the last ones.
-        self.paths: list[str] = []
+        self.paths: list[str] = []  # bags that it has written, the last ones
         self.keep(f"{self.manager}/stream_events", StreamEvent)
         self.keep(f"{self.manager}/model", rospy.AnyMsg)
         self.look()

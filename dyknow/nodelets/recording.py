@@ -21,8 +21,7 @@ from dyknow.nodelet.parked import latching
 
 #: Bytes that a message takes besides its content, and that a number takes.
 OVERHEAD, _NUMBER = 1000, 32
-#: Entries of a list that are looked at.
-_SAMPLE = 16
+_SAMPLE = 16  # entries of a list that are looked at
 #: Seconds: a shorter step back is one of a clock that is set right, not simulated time again.
 _SET_BACK = 1.0
 _HEADER = ("type", "md5sum", "message_definition")
@@ -54,8 +53,7 @@ class Recording:
         self._latched: set[str] = set()
         #: By topic and publisher, the latest last.
         self._before: dict[tuple[str, str], KeptMessage] = {}
-        #: Bytes of all messages, as estimated.
-        self.size = 0
+        self.size = 0  # bytes of all messages, as estimated
 
     def add(self, topic: str, message: Any, now: float, is_state: bool = False) -> None:
         """Keep a message; ``is_state``: the topic is latched, by one publisher."""

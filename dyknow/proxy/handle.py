@@ -21,8 +21,7 @@ class NodeHandle(PlainNodeHandle):
     """
 
     _place = "at port"
-    #: Keeps the ports.
-    proxy_class = NodeletProxy
+    proxy_class = NodeletProxy  # keeps the ports
 
     def __init__(self, node_handle: PlainNodeHandle) -> None:
         """Take the place of one of the nodelet's own handles, such as ``self.node_handle``."""

@@ -40,10 +40,8 @@ class ProxyPort:
     """A named place of a nodelet that can be connected to a topic, or to none (empty)."""
 
     direction = ""
-    #: Encodes messages for the companion, if there is one.
-    codec: Codec | None = None
-    #: A port of the same kind.
-    companion: Any = None
+    codec: Codec | None = None  # encodes messages for the companion, if there is one
+    companion: Any = None  # a port of the same kind
     is_companion = False
 
     def __init__(self, name: str, datatype: Any, topic: str) -> None:
@@ -282,8 +280,7 @@ class PortSubscriber(Subscriber):
         super().__init__(context, port.name, *args, codec=port.codec, **options)
         self._port = port
         self._received: int | None = 0
-        #: The topic that was warned of.
-        self._told = ""
+        self._told = ""  # the topic that was warned of
         self._looks: Timer | None = None
         port.handles.append(self)
         port.count(self.subscription)

@@ -37,8 +37,7 @@ from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.nodelet.middleware import Closable
 from dyknow.proxy.port import InPort, OutPort, PortPublisher, PortSubscriber, ProxyPort
 
-#: Seconds that a reconfiguration waits for peers outside.
-PATIENCE = 0.5
+PATIENCE = 0.5  # seconds that a reconfiguration waits for peers outside
 
 Change = Tuple[ProxyPort, str]
 ReconfigureCallback = Callable[[Dict[str, str], Dict[str, str]], None]

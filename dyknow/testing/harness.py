@@ -32,12 +32,9 @@ from dyknow.testing.middleware import (
     LogEntry,
 )
 
-#: Seconds of real time after which another thread is given up.
-_PATIENCE = 10.0
-#: Seconds between two looks whether a service was called.
-_GLANCE = 0.001
-#: Seconds that sums of periods may be wrong by.
-_ROUNDING = 1e-6
+_PATIENCE = 10.0  # seconds of real time after which another thread is given up
+_GLANCE = 0.001  # seconds between two looks whether a service was called
+_ROUNDING = 1e-6  # seconds that sums of periods may be wrong by
 
 NodeletType = TypeVar("NodeletType", bound=Nodelet)
 HarnessType = TypeVar("HarnessType", bound="Harness")

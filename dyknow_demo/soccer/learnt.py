@@ -27,21 +27,17 @@ from dyknow_demo.soccer.finder import (
 )
 from dyknow_demo.soccer.geometry import Array
 
-#: The shipped model, trained on all days.
-MODEL = Path(__file__).with_name("ball_forest.yml.gz")
-#: Threshold of the shipped model, as printed by ``learn``.
-THRESHOLD = 0.16
+MODEL = Path(__file__).with_name("ball_forest.yml.gz")  # the shipped model, trained on all days
+THRESHOLD = 0.16  # threshold of the shipped model, as printed by ``learn``
 
 _LEVELS = (6, 11, 17, 24, 32, 42, 54, 70)
-#: Of V, in grey levels; grass lies below.
-_WARM = 108
+_WARM = 108  # of V, in grey levels; grass lies below
 #: Pixels of the planes.
 _LEAST_AREA, _LARGEST = 12, 110
 #: The most that a region's box may be longer than wide, and the least fraction of it that is
 #: filled.
 _BOX_STRETCH, _EXTENT = 4.2, 0.4
-#: Two finds overlap by at most this fraction of the smaller one's box.
-_SHARED = 0.3
+_SHARED = 0.3  # two finds overlap by at most this fraction of the smaller one's box
 
 _Box = Tuple[int, int, int, int]
 

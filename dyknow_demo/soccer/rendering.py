@@ -27,10 +27,8 @@ _SCALE = 0.005
 _GRASS, _PAINT, _ORANGE, _LAB = (70, 120, 50), (225, 225, 225), (20, 105, 245), (120, 118, 112)
 
 _FRACTION = 6  # bits of OpenCV's drawing functions
-#: Rays a pixel in each direction, for smooth edges.
-_RAYS = 3
-#: Standard deviation of the sensor's noise, in grey levels.
-_NOISE = 3.0
+_RAYS = 3  # rays a pixel in each direction, for smooth edges
+_NOISE = 3.0  # standard deviation of the sensor's noise, in grey levels
 #: The most pixels, either way, by which the noise pattern is shifted from frame to frame.
 _SHIFTS = 256
 

@@ -36,8 +36,7 @@ _PATIENCE, _LATENESS = 8.0, 0.15
 _BEHIND = np.array([-1.1, -0.25])
 #: The crouch of the gait: knee at rest, its swing (rad), steps a second.
 _KNEE, _SWING, _STEPS = 0.70, 0.06, 1.8
-#: Height of the camera over the ball when the robot stands (m).
-_CAMERA_OVER_BALL = 0.43
+_CAMERA_OVER_BALL = 0.43  # height of the camera over the ball when the robot stands (m)
 
 #: Standard deviations: a camera's mounting about each axis after calibration, the robot's
 #: self-localization on the field, and the time after which its errors are new.

@@ -80,8 +80,7 @@ def request_of(arguments: argparse.Namespace) -> StreamRequest:
 #: Seconds that a claim outlives a command that was killed, or interrupted before the answer.
 _LEASE = 10.0
 _RENEWAL = 3.0
-#: Seconds before the next question to a manager that did not answer.
-_RETRY = 1.0
+_RETRY = 1.0  # seconds before the next question to a manager that did not answer
 
 
 @command(

@@ -20,8 +20,7 @@ from dyknow.graphviz import CannotDraw, quote, render
 from dyknow.model.graph import Model, NodeletStatus, PortRef
 from dyknow.wiring.ports import Topic, by_name, topics_of
 
-#: Seconds that graphviz may take.
-_TIMEOUT = 120.0
+_TIMEOUT = 120.0  # seconds that graphviz may take
 
 
 @command(

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from dyknow.formulas import Monitor
     from dyknow.ros.acquiring import AcquiredStream
 
-#: Seconds between two looks for a topic that is not there yet.
-_POLL = 0.5
+_POLL = 0.5  # seconds between two looks for a topic that is not there yet
 
 
 @command(

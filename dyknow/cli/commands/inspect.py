@@ -36,8 +36,7 @@ from dyknow.wiring.ports import by_name
 if TYPE_CHECKING:
     from dyknow.ros.shell.load_meter import Loads
 
-#: Titles of what a nodelet or a process takes.
-_LOAD = ("CPU %", "MEMORY MB")
+_LOAD = ("CPU %", "MEMORY MB")  # titles of what a nodelet or a process takes
 
 
 @command(

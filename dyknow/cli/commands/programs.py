@@ -59,14 +59,10 @@ def _run(arguments: argparse.Namespace, shell: Shell) -> None:
     become([find_program(arguments.package, arguments.executable), *arguments.words])
 
 
-#: Seconds between two questions for its ports.
-_STEP = 0.1
-#: Seconds for one answer.
-_ANSWER = 2.0
-#: Seconds that the node has to end.
-_PATIENCE = 3.0
-#: Lines of its output that are shown when it fails.
-_LINES = 5
+_STEP = 0.1  # seconds between two questions for its ports
+_ANSWER = 2.0  # seconds for one answer
+_PATIENCE = 3.0  # seconds that the node has to end
+_LINES = 5  # lines of its output that are shown when it fails
 #: Topics that all nodes share. The node stays on them, since they are not declared.
 _SHARED = re.compile(
     r"/(tf|tf_static|clock|rosout|rosout_agg|diagnostics|diagnostics_agg|statistics)"

@@ -20,8 +20,7 @@ from dyknow.model.graph import Model, PortState
 from dyknow.model.streams import StreamStatus
 from dyknow.model.transformation import OUT, Port
 
-#: Fields of a plan that are shown.
-_PLAN = "cost spawned reused plan"
+_PLAN = "cost spawned reused plan"  # fields of a plan that are shown
 #: The most tags whose bindings are looked up, and the most bindings shown of each.
 _MOST_ASKED = 100
 _MOST_SHOWN = 8
