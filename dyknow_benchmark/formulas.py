@@ -24,7 +24,6 @@ import dyknow
 from dyknow.formulas import Monitor, parse
 from dyknow.formulas.compiler import Evaluator
 from dyknow.formulas.tree import SECOND, Binary, Node, Unary, children
-from dyknow.ros.client import ManagerClient
 from dyknow_benchmark.options import measurement
 from dyknow_benchmark.results import Results, Row, Summary, spread
 from dyknow_benchmark.session import MANAGER, Session, say, steps, wait_until
@@ -281,7 +280,7 @@ def _reaction(session: Session, count: int, results: Results) -> None:
             wait_until(lambda: any(number < 20 for _, number in heard), "the replacement")
             times.append(next(when for when, number in heard if number < 20) - began)
             level[0] = 0.5
-            wait_until(lambda: _replanned(client, stream.claim_id), "the way back")
+            wait_until(lambda: bool(client.replan_stream(stream.claim_id).spawned), "the way back")
             wait_until(lambda: not client.get_model().nodelet(_SPARE), "the end of the spare one")
     timer.shutdown()
     row = (len(times), *Summary.of(times).spread)
@@ -289,8 +288,3 @@ def _reaction(session: Session, count: int, results: Results) -> None:
     results.table("reaction", title, ("violations", *spread("s")), [row])
     what = "violation to the first message of the replacement, median in s"
     results.verdict(what, median(times), _REACTION)
-
-
-def _replanned(client: ManagerClient, claim_id: str) -> bool:
-    """Replan a stream; whether that changed it."""
-    return bool(client.replan_stream(claim_id).spawned)

@@ -134,7 +134,7 @@ class LookAhead:
         is_future = formula.operator in FUTURE
         parts = [self._build(each, below or is_future) for each in children(formula)]
         right, back = parts[-1][0], max(reach for _, reach in parts)
-        left: Bits = parts[0][0] if len(parts) == 2 else _everywhere
+        left: Bits = parts[0][0] if len(parts) == 2 else lambda *_: _EVERYWHERE
         if formula.operator == "not":
             return _not(right), back
         if temporal(formula) is None:
@@ -200,10 +200,6 @@ def _combine(operator: str, left: Bits, right: Bits) -> Bits:
     if operator == "implies":
         left = _not(left)
     return lambda certain, greatest: left(certain, greatest) | right(certain, greatest)
-
-
-def _everywhere(certain: bool, greatest: bool) -> int:
-    return _EVERYWHERE
 
 
 def _not(bits: Bits) -> Bits:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple, NoReturn, Optional, Union
 
 from dyknow.errors import FormulaError
@@ -59,18 +60,16 @@ def check(
             checker.truth(atom.expression)
 
 
+@dataclass(frozen=True)
 class _Checker:
     """Finds kinds of values: ``number``, ``text``, ``flag``, a message type, or empty: unknown."""
 
-    def __init__(
-        self, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
-    ) -> None:
-        self._text = text
-        self._types = types
-        self._lookup = lookup
+    text: str
+    types: Mapping[str, Optional[MessageType]]
+    lookup: Lookup
 
     def _fail(self, place: int, problem: str) -> NoReturn:
-        raise FormulaError(self._text, place, problem)
+        raise FormulaError(self.text, place, problem)
 
     def kind(self, expression: tree.Expression) -> str:
         if isinstance(expression, tree.Text):
@@ -111,10 +110,10 @@ class _Checker:
 
     def _field(self, field: Union[tree.Field, Any]) -> str:
         """Follow the path of a field."""
-        if field.port not in self._types:
-            hint = did_you_mean(field.port, self._types) or f"; there are: {_names(self._types)}"
+        if field.port not in self.types:
+            hint = did_you_mean(field.port, self.types) or f"; there are: {_names(self.types)}"
             self._fail(field.place, f"there is no port '{field.port}'{hint}")
-        owner = self._types[field.port]
+        owner = self.types[field.port]
         kind, done = (owner.name if owner is not None else ""), field.port
         for step in field.path:
             array = ARRAY.match(kind)
@@ -122,7 +121,7 @@ class _Checker:
                 if kind and not array:
                     self._fail(field.place, f"'{done}' has no index: it is {_a(kind)}")
                 kind, done = (_kind(array.group(1)) if array else ""), f"{done}[{step}]"
-                owner = self._lookup(kind) if "/" in kind else None
+                owner = self.lookup(kind) if "/" in kind else None
                 continue
             if kind and ("/" not in kind or array):
                 hint = f"; write an index, as {done}[0]" if array else ""
@@ -132,11 +131,11 @@ class _Checker:
                 problem = f"{owner.name} has no field '{step}'{hint or ';'}"
                 self._fail(field.place, f"{problem} its fields are: {_names(owner.fields)}")
             kind, done = (_kind(owner.fields[step]) if owner is not None else ""), f"{done}.{step}"
-            owner = self._lookup(kind) if "/" in kind and not ARRAY.match(kind) else None
+            owner = self.lookup(kind) if "/" in kind and not ARRAY.match(kind) else None
         return kind
 
     def _check_constant(self, constant: tree.Constant) -> None:
-        owner = self._lookup(self._field(constant.owner))
+        owner = self.lookup(self._field(constant.owner))
         if owner is None:
             return
         if not owner.constants.intersection(constant.names):
@@ -148,7 +147,7 @@ class _Checker:
         """Check that two kinds can be compared."""
         for kind, side in ((left, atom.left), (right, atom.right)):
             if "/" in kind or ARRAY.match(kind):
-                owner = self._lookup(kind)
+                owner = self.lookup(kind)
                 hint = f": compare a field, one of {_names(owner.fields)}" if owner else ""
                 self._fail(_place(side), f"'{side}' cannot be compared: it is {_a(kind)}{hint}")
         place = _place(atom.left, _place(atom.right))
@@ -160,7 +159,7 @@ class _Checker:
     def truth(self, expression: tree.Expression) -> None:
         """Check that an expression can be taken for a truth."""
         kind = self.kind(expression)
-        owner = self._lookup(kind) if "/" in kind else None
+        owner = self.lookup(kind) if "/" in kind else None
         has_truth = owner is not None and (
             owner.fields.get("data") == "bool" or {"TRUE", "UNKNOWN"} <= owner.constants
         )
