@@ -23,7 +23,7 @@ def quote(*lines: str) -> str:
 
 
 def render(dot: str, form: str, timeout: float) -> bytes:
-    """Draw a graph as `svg` or `png`, within seconds (200 nodelets need 15); CannotDraw if not."""
+    """Draw a graph as `svg` or `png`; 200 nodelets need 15 s. Raises CannotDraw, with a reason."""
     try:
         done = subprocess.run(
             ["dot", f"-T{form}"],

@@ -16,7 +16,7 @@ LONGEST = 200  # characters of the longest name that suggestions are made for
 def did_you_mean(name: str, known: Iterable[str], at_most: int = 3, prefix: str = "") -> str:
     """Write `; did you mean a or b?` for the end of an error; empty if no known name is similar.
 
-    Each of them, ``at_most`` so many, has the ``prefix`` before it.
+    ``prefix`` stands before each of them.
     """
     if len(name) > LONGEST:
         return ""

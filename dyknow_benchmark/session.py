@@ -149,7 +149,7 @@ def kill(*nodes: str) -> None:
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """Look every few milliseconds until ``condition`` holds, or raise MeasurementFailed."""
+    """Look every few milliseconds until ``condition`` holds; raises MeasurementFailed."""
     end = time.monotonic() + START_TIMEOUT
     while not condition():
         if time.monotonic() > end:

@@ -33,7 +33,7 @@ CHANNELS = {"bgr8": 3, "rgb8": 3, "mono8": 1, "8UC1": 1, "8UC3": 3, "yuv422": 2}
 
 
 def channels_of(encoding: str) -> int:
-    """Number of channels of an encoding; ValueError for one that is not supported here."""
+    """Number of channels of an encoding; raises ValueError if it is not supported here."""
     if encoding not in CHANNELS:
         raise ValueError(f"encoding '{encoding}': expected one of {', '.join(sorted(CHANNELS))}")
     return CHANNELS[encoding]
@@ -96,7 +96,7 @@ def blank_planes(image: Any, levels: int) -> list[Any]:
 
 
 def planes_of(image: Any) -> Pixels:
-    """View an image as planes (3, rows, columns); ValueError if it does not hold three planes."""
+    """View an image as planes (3, rows, columns); raises ValueError if it does not hold three."""
     if image.encoding != "mono8" or image.height % 3:
         raise ValueError(
             f"a {image.encoding} image of {image.height} rows: expected three planes in mono8"

@@ -30,7 +30,7 @@ def tell(text: str) -> None:
 
 @contextlib.contextmanager
 def own_processes() -> Iterator[Processes]:
-    """Own a ROS master if none answers, else nothing; DyKnowError if time is simulated."""
+    """Own a ROS master if none answers, else nothing; raises DyKnowError if time is simulated."""
     is_there = rosgraph.is_master_online()
     with Processes("dyknow_demo") as processes:
         uri = Master(NAMESPACE).uri if is_there else processes.start_master()
@@ -47,7 +47,7 @@ def own_processes() -> Iterator[Processes]:
 def running_manager(
     processes: Processes, is_up: Callable[[], bool], **parameters: object
 ) -> Iterator[None]:
-    """Start ``MANAGER``; DyKnowError if it is there already, or does not come up."""
+    """Start ``MANAGER``; raises DyKnowError if it is there already, or does not come up."""
     if is_up():
         raise DyKnowError(
             f"{MANAGER} is registered at this master already: another demonstration runs there, "

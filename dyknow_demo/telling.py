@@ -216,7 +216,7 @@ def to_dot(
 
 
 def draw(dot: str, folder: Path, name: str) -> list[Path]:
-    """Draw a picture as PNG and as SVG, into files of that name; CannotDraw says why not."""
+    """Draw a picture as PNG and as SVG, into files of that name; raises CannotDraw."""
     files = _pictures(folder, name)
     for file in files:
         file.write_bytes(render(dot, file.suffix[1:], _LAYOUT_TIMEOUT))

@@ -26,7 +26,9 @@ def check(data: bytes, file: str, most: int) -> None:
 
 
 def load(manager: str, data: bytes, file: str, most: int, from_files: Collection[str]) -> None:
-    """Load a wiring, all or nothing; transformations labelled as some ``from_files`` stay.
+    """Load a wiring, all or nothing.
+
+    Transformations that specification files of the manager have, ``from_files``, stay as they are.
 
     Raises:
         DyKnowError: it cannot be loaded now; everything is as it was.

@@ -241,7 +241,7 @@ def read(
     run_id: str = "",
     piped: str = "",
 ) -> ROSLaunchParent:
-    """Let roslaunch's parent read launch files, `-` for ``piped``; CannotLaunch if it cannot."""
+    """Make roslaunch's parent read launch files, `-` for ``piped``; raises CannotLaunch."""
     sources = [(file, list(given)) for file in files if file != STDIO]
     timeouts = {
         name: getattr(options, name)
@@ -302,7 +302,7 @@ def plan(parent: ROSLaunchParent, chosen: NodeFilter) -> list[Treatment]:
 
 
 def run(parent: ROSLaunchParent, treatments: Sequence[Treatment]) -> None:
-    """Start a launch, its nodes treated, and wait for its end; CannotLaunch if it cannot start."""
+    """Start a launch with its nodes treated so, and wait for its end; raises CannotLaunch."""
     for node, treatment in zip(parent.config.nodes, treatments):
         node.launch_prefix = treatment.prefix or None
     signals.raise_swallowed()  # roslaunch drops all that is raised while it sets up its log

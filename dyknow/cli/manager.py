@@ -15,7 +15,7 @@ from dyknow.ros.process.signals import DONE, FAILED
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node of a command line, by default the process's; return the exit code."""
+    """Run the node with a command line, by default the process's, and return the exit code."""
     argv = list(sys.argv if argv is None else argv)
     words = [word for word in argv[1:] if ":=" not in word]
     if HELP.intersection(words):

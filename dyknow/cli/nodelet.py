@@ -117,7 +117,7 @@ def parse(arguments: Sequence[str]) -> NodeletCommand:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `nodelet`, program name first, and return its exit code."""
+    """Run `nodelet` with a command line, by default the process's, and return its exit code."""
     argv = list(sys.argv if argv is None else argv)
     try:
         command = parse(argv[1:])

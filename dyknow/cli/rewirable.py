@@ -113,7 +113,7 @@ def _preload(library: str, environment: dict[str, str]) -> None:
 
 
 def become_script(command: Sequence[str]) -> NoReturn:
-    """Become a Python script whose node is re-wirable; CannotRun if it cannot be started."""
+    """Become a Python script whose node is re-wirable; raises CannotRun if that cannot be."""
     python = interpreter(command[0]) or [sys.executable]
     try:
         os.execv(python[0], [*python, "-m", SCRIPT_HOST, *command])

@@ -73,7 +73,7 @@ class Formula:
     __slots__ = ("of_individuals", "ports", "text", "tree")
 
     def __init__(self, text: str) -> None:
-        """Read a formula; a FormulaError has line and column."""
+        """Read a formula; raises FormulaError with line and column."""
         self.text = text
         self.tree = syntax.parse(text)
         self.ports = tree.ports(self.tree)

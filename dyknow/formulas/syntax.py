@@ -83,7 +83,7 @@ _EXPRESSIONS = (
 
 
 def parse(text: str) -> tree.Node:
-    """Read a formula; a FormulaError has line and column, and the expected words."""
+    """Read a formula; raises FormulaError with line, column, and the expected words."""
     try:
         return _Parser(text).formula()
     except RecursionError:

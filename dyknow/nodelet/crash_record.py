@@ -40,7 +40,7 @@ class CrashRecord:
     """The words of this process."""
 
     def __init__(self, path: str = "") -> None:
-        """Make the file in place of an older one, or raise OSError; without a path, use memory."""
+        """Make the file, in place of an older one; without a path, use memory. Raises OSError."""
         self._lock = state_lock("crash record")
         self._free: list[int] = list(range(_THREADS, 0, -1))
         #: Each is written by the thread that has it, and read by other processes.

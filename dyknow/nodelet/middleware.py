@@ -245,7 +245,7 @@ class Ticker(ABC):
 
 
 class Node(ABC):
-    """The node of ROS that this process is, and its exceptions, which take what is concerned."""
+    """The node of ROS that this process is; its exceptions take a message naming the operation."""
 
     closed: type[Exception] = HandleClosed  # of a closed handle
     interrupted: type[Exception] = DyKnowError  # of a wait or call whose nodelet is unloaded

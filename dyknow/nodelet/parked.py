@@ -24,8 +24,8 @@ _SKEW = 0.02  # seconds by which a message may come earlier there than here, at 
 class ParkedConnection(Connection):
     """Holds messages for a subscription that is made later, beyond the size of its queue.
 
-    The given one has the owner and the type of that; ``digest`` returns the bytes by which a
-    message is known in both processes.
+    ``subscription`` has the owner and the type of that one; ``digest`` returns the bytes by which
+    a message is known in both processes.
     """
 
     __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_made", "_until")

@@ -93,7 +93,7 @@ class PluginClass:
 
 
 def read(plugin_file: PluginFile) -> list[PluginClass]:
-    """Read one description; BrokenPlugin if it cannot be read, is not XML, or lacks something."""
+    """Read one description; raises BrokenPlugin if it is not there, not XML, or not complete."""
     what = f"plugin description '{plugin_file.file}' of package '{plugin_file.package}'"
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
     try:
@@ -219,7 +219,7 @@ class ClassImports:
         CatkinFinder.install()
 
     def load(self, declared: PluginClass, context: Context) -> type[Nodelet]:
-        """Import a declared class; BrokenPlugin if it does not import, or is not a Nodelet."""
+        """Import a declared class; raises BrokenPlugin if that fails, or it is not a Nodelet."""
         what = f"nodelet type '{declared.name}' ({declared.type}, declared in '{declared.file}')"
         module_name, _, class_name = declared.type.rpartition(".")
         if not module_name:

@@ -58,7 +58,7 @@ class AnnotatedFrame(NamedTuple):
         return parts[1] if len(parts) > 1 else self.image.stem
 
     def pixels(self) -> Pixels:
-        """Read the image, BGR; ValueError if the file is none."""
+        """Read the image, BGR; raises ValueError if the file is none."""
         pixels: Pixels | None = cv2.imread(str(self.image), cv2.IMREAD_COLOR)
         if pixels is None:
             raise ValueError(f"{self.image} is no image")

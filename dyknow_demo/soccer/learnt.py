@@ -51,7 +51,7 @@ class Region(NamedTuple):
 
 
 def load_forest(file: Path = MODEL) -> Any:
-    """Read a forest; ValueError if the file holds none."""
+    """Read a forest; raises ValueError if the file holds none."""
     try:
         return cv2.ml.RTrees_load(str(file))
     except (cv2.error, SystemError):

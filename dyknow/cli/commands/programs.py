@@ -151,7 +151,7 @@ def _base(executable: str) -> str:
 def _settled(
     client: ProxyClient, name: str, process: ProcessId, output: str, arguments: argparse.Namespace
 ) -> list[PortState]:
-    """Wait until a node has made its ports; CannotRun if it ends, or makes none in time."""
+    """Wait until a node has made its ports; raises CannotRun if it ends, or makes none in time."""
     begin = since = time.monotonic()
     ports: list[PortState] = []
     while True:
