@@ -194,16 +194,15 @@ _CLEAR_BELOW = "\x1b[J"
 
 
 class Screen:
-    """Shows a value that changes, every ``period`` seconds.
+    """Shows a value that changes.
 
     On a terminal each value replaces the one before, cut to the window; lines are rewritten
     without clearing the screen, so that nothing flickers. Elsewhere an empty line separates
     values; as JSON each is one line.
     """
 
-    def __init__(self, shell: Shell, period: float) -> None:
+    def __init__(self, shell: Shell) -> None:
         self._shell = shell
-        self._period = period
         self._in_place = shell.out.isatty() and not shell.as_json
         self._shown = False
 
@@ -213,10 +212,6 @@ class Screen:
         else:
             self._shell.show(value, ["", *lines] if self._shown else lines, indent=None)
         self._shown = True
-
-    def wait(self, begin: float) -> None:
-        """Wait until a period has passed since `begin`, a time of the steady clock."""
-        time.sleep(max(0.0, begin + self._period - time.monotonic()))
 
     def _page(self, lines: Sequence[str]) -> str:
         width, height = shutil.get_terminal_size()

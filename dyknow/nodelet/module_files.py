@@ -199,11 +199,9 @@ def stamps(files: Collection[str]) -> dict[str, Stamp]:
     """Return the time and size of each file that exists, which change when it is written."""
     found = {}
     for file in files:
-        try:
+        with contextlib.suppress(OSError):
             status = os.stat(file)
-        except OSError:
-            continue
-        found[file] = (status.st_mtime_ns, status.st_size)
+            found[file] = (status.st_mtime_ns, status.st_size)
     return found
 
 

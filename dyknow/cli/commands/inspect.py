@@ -204,7 +204,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:
             arguments.refuse("--count says how often --watch shows; expected both, or neither")
         return _show_once(shell, arguments.names)
     names = [shell.resolve(name) for name in arguments.names]
-    screen = Screen(shell, arguments.watch)
+    screen = Screen(shell)
     shown = 0
     while True:
         begin = time.monotonic()
@@ -213,7 +213,7 @@ def _stats(arguments: argparse.Namespace, shell: Shell) -> int | None:
         shown += 1
         if arguments.count is not None and shown >= arguments.count:
             return None
-        screen.wait(begin)
+        time.sleep(max(0.0, begin + arguments.watch - time.monotonic()))
 
 
 def _show_once(shell: Shell, names: Sequence[str]) -> int | None:
