@@ -15,7 +15,7 @@ from dyknow.formulas.look_ahead import looks_ahead
 from dyknow.formulas.precision import narrowed
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 from dyknow.formulas.states import States, StateSettings, clock, own_ports, rate_states
-from dyknow.formulas.types import Lookup, MessageType, check, known_type, type_of
+from dyknow.formulas.types import Lookup, MessageType, TypeChecker, known_type, type_of
 
 MAX_STATES = 1_000_000  # most states that bounds may span
 #: Nanoseconds ahead of the clock up to which all messages are kept: a source's clock may differ.
@@ -130,7 +130,7 @@ class Formula:
             FormulaError: a port, a field or a constant does not exist, or values cannot be
                 compared; the error names those that exist.
         """
-        check(self.tree, self.text, types, lookup)
+        TypeChecker(self.text, types, lookup).check(self.tree)
 
     def monitor(
         self,

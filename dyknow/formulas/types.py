@@ -47,41 +47,36 @@ def known_type(name: str) -> MessageType | None:
     return type_of(getattr(sys.modules.get(f"{package}.msg"), short, None))
 
 
-def check(
-    formula: tree.Node, text: str, types: Mapping[str, Optional[MessageType]], lookup: Lookup
-) -> None:
-    """Check a formula; see ``Formula.check``."""
-    checker = _Checker(text, types, lookup)
-    for atom in tree.atoms(formula):
-        if isinstance(atom, tree.Comparison):
-            left, right = checker.kind(atom.left), checker.kind(atom.right)
-            checker.comparable(atom, left, right)
-        else:
-            checker.truth(atom.expression)
-
-
 @dataclass(frozen=True)
-class _Checker:
+class TypeChecker:
     """Finds kinds of values: ``number``, ``text``, ``flag``, a message type, or empty: unknown."""
 
     text: str
     types: Mapping[str, Optional[MessageType]]
     lookup: Lookup
 
+    def check(self, formula: tree.Node) -> None:
+        """Check a formula; see ``Formula.check``."""
+        for atom in tree.atoms(formula):
+            if isinstance(atom, tree.Comparison):
+                self._comparable(atom, self._kind_of(atom.left), self._kind_of(atom.right))
+            else:
+                self._truth(atom.expression)
+
     def _fail(self, place: int, problem: str) -> NoReturn:
         raise FormulaError(self.text, place, problem)
 
-    def kind(self, expression: tree.Expression) -> str:
+    def _kind_of(self, expression: tree.Expression) -> str:
         if isinstance(expression, tree.Text):
             return "text"
         if isinstance(expression, tree.Flag):
             return "flag"
         if isinstance(expression, tree.Constant):
             self._check_constant(expression)
-            return self.kind(expression.of)
+            return self._kind_of(expression.of)
         if isinstance(expression, tree.Arithmetic):
             for each in (expression.left, expression.right):
-                kind = self.kind(each)
+                kind = self._kind_of(each)
                 if kind not in ("", "number"):
                     problem = f"'{expression.operator}' takes numbers, but '{each}' is {_a(kind)}"
                     self._fail(_place(each), problem)
@@ -94,7 +89,7 @@ class _Checker:
             self._field(call.arguments[0])
             return "flag" if call.function == "present" else "number"
         for each in call.arguments:
-            kind = self.kind(each)
+            kind = self._kind_of(each)
             is_array = bool(ARRAY.match(kind))
             if call.function == "len":
                 is_fit = is_array or kind in ("", "text")
@@ -143,7 +138,7 @@ class _Checker:
             problem = f"{owner.name} has no constant '{constant.name}'{hint or ';'}"
             self._fail(constant.place, f"{problem} its constants are: {_names(owner.constants)}")
 
-    def comparable(self, atom: tree.Comparison, left: str, right: str) -> None:
+    def _comparable(self, atom: tree.Comparison, left: str, right: str) -> None:
         """Check that two kinds can be compared."""
         for kind, side in ((left, atom.left), (right, atom.right)):
             if "/" in kind or ARRAY.match(kind):
@@ -156,9 +151,9 @@ class _Checker:
         if atom.operator not in ("==", "!=") and {left, right} & {"text", "flag"}:
             self._fail(place, f"a text or flag is compared with '==' or '!=': '{atom}'")
 
-    def truth(self, expression: tree.Expression) -> None:
+    def _truth(self, expression: tree.Expression) -> None:
         """Check that an expression can be taken for a truth."""
-        kind = self.kind(expression)
+        kind = self._kind_of(expression)
         owner = self.lookup(kind) if "/" in kind else None
         has_truth = owner is not None and (
             owner.fields.get("data") == "bool" or {"TRUE", "UNKNOWN"} <= owner.constants
