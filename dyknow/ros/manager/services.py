@@ -9,6 +9,7 @@ import logging
 import time
 from typing import Any, Callable, Sequence
 
+import genpy
 import rospy
 from dyknow_msgs import msg, srv
 
@@ -164,9 +165,13 @@ class ManagerServices:
         """
         response_class = service_class._response_class
 
+        def work(request: Any) -> Any:
+            self._check_sizes(request)
+            return handler(request)
+
         def answer(request: Any) -> Any:
             try:
-                done = self._logged(request, what(request), handler) if what else handler(request)
+                done = self._logged(request, what(request), work) if what else work(request)
                 response = response_class(success=True) if done is None else done
             except DyKnowError as error:
                 if refused is not None:
@@ -196,8 +201,18 @@ class ManagerServices:
         rospy.loginfo("%s for %s: done", what, caller)
         return response
 
-    def _check_sizes(self, *texts: str, entries: int = 0) -> None:
-        self._manager.guards.check_sizes(texts, entries)
+    def _check_sizes(self, message: Any) -> None:
+        """Refuse a request, or a message in one, with a text or an array beyond the limits."""
+        for name in message.__slots__:
+            if name == "specification":
+                continue  # it has a limit of its own
+            value = getattr(message, name)
+            entries = value if isinstance(value, list) else [value]
+            texts = [each for each in entries if isinstance(each, str)]
+            self._manager.guards.check_sizes(texts, len(entries))
+            for each in entries:
+                if isinstance(each, genpy.Message):
+                    self._check_sizes(each)
 
     # Transformations and nodelets
 
@@ -209,15 +224,11 @@ class ManagerServices:
         return srv.AddTransformationResponse(True, "\n".join(remarks), labels)
 
     def _remove(self, request: Any) -> None:
-        self._check_sizes(request.label)
         self._manager.remove_transformation(request.label)
 
     def _spawn(self, request: Any) -> Any:
         pairs = config_pairs(request.config)
         given = parameters_from(request.parameters)
-        texts = [text for entry in (*pairs, *given) for text in entry]
-        entries = max(len(pairs), len(given))
-        self._check_sizes(request.label, request.name, request.manager, *texts, entries=entries)
         made = self._manager.spawn(
             SpawnRequest(
                 request.label,
@@ -237,28 +248,22 @@ class ManagerServices:
         return self._manager.resolve(manager) if is_relative else manager
 
     def _destroy(self, request: Any) -> None:
-        self._check_sizes(request.name)
         self._manager.destroy(request.name)
 
     def _set_protection(self, request: Any) -> None:
-        self._check_sizes(request.name)
         self._manager.set_protection(request.name, request.is_protected)
 
     def _restart(self, request: Any) -> Any:
-        self._check_sizes(request.name)
         done = self._manager.restart(request.name)
         return srv.RestartResponse(True, done.remarks, list(done.names))
 
     def _set_parameter(self, request: Any) -> Any:
         (given,) = parameters_from([request.parameter])
-        self._check_sizes(request.name, *given)
         done = self._manager.set_parameter(request.name, given)
         return srv.SetParameterResponse(True, done.remarks, done.is_read)
 
     def _connect(self, request: Any) -> None:
         moves = [(each.nodelet, config_pairs(each.config)) for each in request.nodelets]
-        texts = [text for name, pairs in moves for entry in ((name,), *pairs) for text in entry]
-        self._check_sizes(*texts, entries=max([len(moves), *(len(p) for _, p in moves)]))
         self._manager.connect([(name, _mapping(name, pairs)) for name, pairs in moves])
 
     def _list_hosts(self, request: Any) -> Any:
@@ -270,27 +275,16 @@ class ManagerServices:
     # Streams
 
     def _acquire(self, request: Any) -> Any:
-        labels = (*request.exclude, *request.prefer, *request.avoid)
-        texts = (
-            request.tag,
-            request.datatype,
-            request.client_id,
-            request.request_id,
-            request.require,
-        )
-        self._check_sizes(*texts, request.bond_id, *labels, entries=len(labels))
         wanted = acquire_from(request)
         acquired = self._reconciler.acquire(wanted, request.dry_run)
         unknown = unknown_labels(self._manager, wanted.exclude) if wanted.exclude else ()
         return acquisition_message(self._answers.acquisition(acquired, unknown))
 
     def _release(self, request: Any) -> None:
-        self._check_sizes(request.claim_id)
         self._manager.guards.check_writable(f"releasing '{request.claim_id}'")
         self._reconciler.release(request.claim_id)
 
     def _renew(self, request: Any) -> Any:
-        self._check_sizes(request.claim_id)
         lease = float(request.lease.to_sec())
         if lease < 0:
             expected = "seconds from 0 (which means: until released)"
@@ -300,12 +294,10 @@ class ManagerServices:
         return srv.RenewStreamResponse(True, "", expires)
 
     def _replan(self, request: Any) -> Any:
-        self._check_sizes(request.claim_id)
         acquired = self._reconciler.replan(request.claim_id, request.dry_run)
         return replanned_message(self._answers.replanned(acquired))
 
     def _plan(self, request: Any) -> Any:
-        self._check_sizes(request.claim_id, *request.exclude, entries=len(request.exclude))
         acquired = self._reconciler.plan(request.claim_id, request.exclude)
         return planned_message(self._answers.replanned(acquired))
 
@@ -314,7 +306,6 @@ class ManagerServices:
         return srv.ListStreamsResponse([stream_message(self._answers.status(c)) for c in claims])
 
     def _find_bindings(self, request: Any) -> Any:
-        self._check_sizes(request.tag, request.datatype)
         found, are_all = self._reconciler.find_bindings(request.tag, request.datatype)
         message = "" if are_all else "there may be more: the search took too long"
         return srv.FindBindingsResponse(True, message, [written_bindings(each) for each in found])
