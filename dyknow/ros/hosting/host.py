@@ -46,11 +46,11 @@ from dyknow.ros.hosting.message_counter import MessageCounter
 from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, host_errors
 from dyknow.ros.hosting.reconfigure import reconfigure
 from dyknow.ros.hosting.verdicts import VerdictTopics
-from dyknow.ros.nodelets.hand_over_service import SERVICE
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages
 from dyknow.ros.wire.addresses import ADDRESSES, host_of
+from dyknow.ros.wire.poll_client import HAND_OVER
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
 #: Seconds for an unload, which waits up to 1 s for ``on_shutdown``.
@@ -298,7 +298,7 @@ class RosHost(Host):
     ) -> Sequence[HandedTopic]:
         peer = self._known(manager)
         peer.presence.check(peer.title)
-        service, beside = names.join(manager, SERVICE), names.join(manager, "list")
+        service, beside = names.join(manager, HAND_OVER), names.join(manager, "list")
         with host_errors(manager):
             client = ServiceClient(self._master, service, HandOver, beside=beside)
             answer = client.call(_HAND_OVER_TIMEOUT, name, step, topics)

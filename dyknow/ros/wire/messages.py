@@ -94,7 +94,7 @@ def direction_message(direction: str) -> int:
     return int(msg.Port.OUT if direction == OUT else msg.Port.IN)
 
 
-def _direction_from(message: Any) -> str:
+def direction_from(message: Any) -> str:
     return OUT if message.direction == msg.Port.OUT else IN
 
 
@@ -103,7 +103,7 @@ def port_message(port: PortState | Port) -> msg.Port:
 
 
 def port_from(message: msg.Port) -> PortState:
-    return _value(PortState, message, direction=_direction_from(message))
+    return _value(PortState, message, direction=direction_from(message))
 
 
 def config_message(config: Mapping[str, str]) -> list[msg.PortConfig]:
@@ -137,7 +137,7 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
 
 
 def transformation_from(message: msg.Transformation) -> Transformation:
-    ports = (_value(Port, each, direction=_direction_from(each)) for each in message.ports)
+    ports = (_value(Port, each, direction=direction_from(each)) for each in message.ports)
     parameters = parameters_from(message.parameters)
     return _value(Transformation, message, parameters=parameters, ports=tuple(ports))
 
@@ -222,7 +222,7 @@ def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:
 
 
 def _port_statistics_from(message: msg.PortStatistics) -> PortStatistics:
-    direction = _direction_from(message)
+    direction = direction_from(message)
     if math.isnan(message.rate):
         return PortStatistics(message.port, direction, message.topic, None, None, None, None, None)
     return _value(PortStatistics, message, direction=direction)

@@ -20,8 +20,8 @@ from dyknow.ros.wire.service_client import (
     ServiceFailed,
 )
 
-#: Service of our nodelet managers, and of re-wirable nodes.
-SERVICE = "poll"
+#: Services of our nodelet managers and of re-wirable nodes that the master does not list.
+POLL, HAND_OVER = "poll", "hand_over"
 
 
 class PollClient:
@@ -38,7 +38,7 @@ class PollClient:
         """Prepare; nothing is sent yet."""
         registered = names.join(name, "get_config" if is_node else "list")
         self._poll = ServiceClient(
-            master, names.join(name, SERVICE), Poll, True, reconnects=False, beside=registered
+            master, names.join(name, POLL), Poll, True, reconnects=False, beside=registered
         )
         self._list = ServiceClient(master, registered, NodeletList, True, reconnects=False)
         self._is_node = is_node

@@ -11,13 +11,13 @@ import pytest
 from clocks import PATIENCE
 from unit.ros.small_graph import SmallManager, small_graph
 
-from dyknow.ros.nodelets import poll_service
-from dyknow.ros.nodelets.poll_service import end_when_displaced
+from dyknow.ros.nodelets import peer_services
+from dyknow.ros.nodelets.peer_services import end_when_displaced
 
 
 @pytest.fixture(name="graph")
 def _graph(monkeypatch):
-    monkeypatch.setattr(poll_service, "NAME_PERIOD", 0.05)
+    monkeypatch.setattr(peer_services, "NAME_PERIOD", 0.05)
     with small_graph() as graph:
         monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
         yield graph

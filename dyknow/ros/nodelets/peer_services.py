@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A process's answers to the DyKnow managers that poll it, and its end beside a successor.
+"""A process's answers to the DyKnow managers that poll it and move its nodelets, and its end.
 
 With each poll a manager renews the lease of the process; the rules are in
 ``dyknow.nodelet.leases``. Here are the thread that watches over leases, and its probe of a
@@ -17,21 +17,25 @@ import contextlib
 import socket
 import time
 import xmlrpc.client
-from typing import Any, Callable
+from io import BytesIO
+from typing import Any, Callable, Iterable
 
 import psutil
 import rosgraph.network
 import rospy
-from dyknow_msgs.srv import Poll, PollResponse
+from dyknow_msgs import msg
+from dyknow_msgs.srv import HandOver, HandOverRequest, HandOverResponse, Poll, PollResponse
 from rospy.impl.registration import get_service_manager
 from rospy.impl.tcpros_service import ServiceImpl
 
-from dyknow.errors import LimitExceeded, PeerTimeout
+from dyknow.errors import DyKnowError, LimitExceeded, PeerTimeout
 from dyknow.nodelet.bus import Bus
+from dyknow.nodelet.context import Context
+from dyknow.nodelet.hand_over import HandedTopic, HandOvers
 from dyknow.nodelet.leases import Leases, Sight, suspended_clock
 from dyknow.nodelet.leftovers import StuckCallbacks
 from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.middleware import DIGEST_SIZE, Closable
 from dyknow.nodelet.texts import sendable
 from dyknow.periodic import PeriodicWorker
 from dyknow.proxy.proxy import NodeletProxy
@@ -40,8 +44,9 @@ from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
 from dyknow.ros.wire.addresses import connect
 from dyknow.ros.wire.machines import machine_message
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.messages import counts_message
-from dyknow.ros.wire.poll_client import SERVICE
+from dyknow.ros.wire.message_classes import message_class
+from dyknow.ros.wire.messages import counts_message, direction_from, direction_message
+from dyknow.ros.wire.poll_client import HAND_OVER, POLL
 
 #: Seconds between two checks of the leases.
 PERIOD = 0.2
@@ -51,11 +56,22 @@ PATIENCE = 0.4
 NAME_PERIOD = 1.0
 
 
-class PollService(Closable):
-    """Offers ``~poll``, which is not registered with the master.
+class _UnregisteredService(Closable):
+    """A private service that the master does not list; the node must be initialised.
 
     Managers look up another service of the process. So nothing of it shows in the graph.
     """
+
+    def __init__(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
+        self._service = ServiceImpl(f"~{name}", kind, answer)
+        get_service_manager().map[self._service.resolved_name] = self._service
+
+    def close(self) -> None:
+        get_service_manager().map.pop(self._service.resolved_name, None)
+
+
+class PollService(_UnregisteredService):
+    """Offers ``~poll``, which answers polls and renews leases."""
 
     def __init__(
         self,
@@ -65,7 +81,6 @@ class PollService(Closable):
         announcer: Announcer,
         stuck: StuckCallbacks,
     ) -> None:
-        """Offer it; the node must be initialised."""
         self._loader = loader
         self._guards = guards
         self._announcer = announcer
@@ -76,12 +91,11 @@ class PollService(Closable):
         )
         #: Set first at the end of the process: it has to be seen to end, not to lose nodelets.
         self.is_ending = False
-        self._service = ServiceImpl("~" + SERVICE, Poll, self._poll)
-        get_service_manager().map[self._service.resolved_name] = self._service
+        super().__init__(POLL, Poll, self._poll)
 
     def close(self) -> None:
         self._worker.close()
-        get_service_manager().map.pop(self._service.resolved_name, None)
+        super().close()
 
     def _poll(self, request: Any) -> PollResponse:
         texts = (request.uri, *request.topics, *request.nodelets, *request.counted)
@@ -128,6 +142,74 @@ class PollService(Closable):
         self._leases.renew(
             caller_of(request), request.uri, request.confirmed, request.duration, producers
         )
+
+
+class HandOverService(_UnregisteredService):
+    """Offers ``~hand_over``, by which a manager moves a nodelet from or to this process."""
+
+    def __init__(
+        self, loader: Loader, guards: ProcessGuards, unload: Callable[[Context], object]
+    ) -> None:
+        self._guards = guards
+        self._hand_overs = HandOvers(loader, _message_class, unload)
+        super().__init__(HAND_OVER, HandOver, self._answer)
+
+    def close(self) -> None:
+        super().close()
+        self._hand_overs.close()
+
+    def _answer(self, request: Any) -> HandOverResponse:
+        name = request.nodelet
+        try:
+            texts = [name, *(each.topic for each in request.topics)]
+            self._guards.current().check_sizes(texts, len(request.topics))
+            self._guards.check_caller(caller_of(request), f"moving '{name}'")
+            self._guards.check_protection(caller_of(request), name)
+            return HandOverResponse(self._step(name, request.step, request.topics))
+        except DyKnowError as error:
+            raise rospy.ServiceException(sendable(error)) from error
+
+    def _step(self, name: str, step: int, topics: Any) -> list[msg.HandedTopic]:
+        moves, ends = self._hand_overs, list(map(topic_from, topics))
+        if step == HandOverRequest.NOTE:
+            return list(map(topic_message, moves.note(name)))
+        if step == HandOverRequest.GIVE:
+            return list(map(topic_message, moves.give(name, ends)))
+        if step == HandOverRequest.PARK:
+            return list(map(topic_message, moves.park(name, ends)))
+        if step == HandOverRequest.TAKE:
+            moves.take(name, ends)
+        else:
+            moves.end(name)
+        return []
+
+
+def topic_message(topic: HandedTopic) -> msg.HandedTopic:
+    digests = b"".join(digest for _, digest in topic.given)
+    times = [moment for moment, _ in topic.given]
+    sizes = list(map(len, topic.waiting))
+    waiting = b"".join(topic.waiting)
+    fields = (digests, times, waiting, sizes, topic.latch, topic.options, topic.flows)
+    return msg.HandedTopic(
+        topic.topic, topic.datatype, direction_message(topic.direction), *fields
+    )
+
+
+def topic_from(message: Any) -> HandedTopic:
+    digests = _parts(message.given, [DIGEST_SIZE] * len(message.arrived))
+    given = tuple(zip(message.arrived, digests))
+    waiting = tuple(_parts(message.waiting, message.sizes))
+    fields = (given, waiting, message.latch, message.options, message.flows)
+    return HandedTopic(message.topic, message.datatype, direction_from(message), *fields)
+
+
+def _parts(content: bytes, sizes: Iterable[int]) -> list[bytes]:
+    stream = BytesIO(content)
+    return [stream.read(size) for size in sizes]
+
+
+def _message_class(datatype: str) -> Any:
+    return None if datatype == "*" else message_class(datatype)
 
 
 def probe(uri: str) -> Sight:
