@@ -174,18 +174,10 @@ class MasterKeeper:
         if not unknown:
             return present
         with ThreadPoolExecutor(_ASKERS) as pool:
-            asked = pool.map(lambda each: self._ask_pid(each, present.nodes[each].uri), unknown)
-            found = {
-                each: NodeAddress(present.nodes[each].uri, pid)
-                for each, pid in zip(unknown, asked)
-            }
+            uris = {each: present.nodes[each].uri for each in unknown}
+            pids = pool.map(lambda each: self._master.pid_at(each, uris[each], _PATIENCE), uris)
+            found = {each: NodeAddress(uris[each], pid) for each, pid in zip(uris, pids)}
         return replace(present, nodes={**present.nodes, **found})
-
-    def _ask_pid(self, node: str, uri: str) -> int:
-        try:
-            return self._master.pid(node, uri, _PATIENCE)
-        except (PeerTimeout, LookupError):
-            return 0
 
     def _load(self) -> MasterMirror | None:
         try:
@@ -231,7 +223,9 @@ class MasterKeeper:
                 return  # of an earlier session
             loss = MasterLoss(kept, present, living, self._me)
             services = loss.services()
-            there = pool.map(lambda each: self._is_offered(each, kept.addresses[each]), services)
+            there = pool.map(
+                lambda each: is_offered(each, kept.addresses[each], self._me, _PATIENCE), services
+            )
             offered = [service for service, is_there in zip(services, there) if is_there]
             parameters = loss.parameters()
             self._master.ask_all(("setParam", self._me, name, value) for name, value in parameters)
@@ -271,9 +265,6 @@ class MasterKeeper:
             return NodeTopics()
         except PeerTimeout as error:
             return NodeTopics() if may_be_there(error) else None
-
-    def _is_offered(self, service: str, address: str) -> bool:
-        return is_offered(service, address, self._me, _PATIENCE)
 
     def _notify(self, news: tuple[str, str, str, list[str]]) -> None:
         node, uri, topic, publishers = news

@@ -393,12 +393,8 @@ def _name_of(argv: Sequence[str]) -> str:
 
 def _is_running(name: str) -> bool:
     """Whether a manager of that name runs already, and answers."""
-    master = Master(name)
-    try:
-        uri = master.node(name)
-        pid = master.pid(name, uri, _ANSWER_TIMEOUT) if uri else 0
-    except (PeerTimeout, LookupError):
-        return False  # rospy waits for the master; a node that does not answer is dead or ends
+    # rospy waits for a master that does not answer; a node that does not is dead or ends.
+    pid = Master(name).pid_of(name, _ANSWER_TIMEOUT)
     if pid:
         print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
     return bool(pid)

@@ -242,11 +242,7 @@ class ShellClient(ManagerClient):
 
     def _is_there(self) -> bool:
         """Whether a node of the manager's name answers."""
-        try:
-            uri = self._master.node(self.manager)
-            return bool(uri and self._master.pid(self.manager, uri, _LOOK))
-        except (PeerTimeout, LookupError, OSError):
-            return False
+        return self._master.pid_of(self.manager, _LOOK) > 0
 
     def _nodes_with(self, service: str) -> list[str]:
         return self._on_master(lambda: super(ShellClient, self)._nodes_with(service))

@@ -339,10 +339,7 @@ def _is_dead(uri: str, deadline: float) -> bool:
 
 def _is_alive(uri: str) -> bool:
     """Whether a node answers at an address; the master lists also those that crashed."""
-    try:
-        return bool(Master(rospy.get_name()).pid(f"at {uri}", uri, _PROBE))
-    except (PeerTimeout, LookupError):
-        return False
+    return Master(rospy.get_name()).pid_at(f"at {uri}", uri, _PROBE) > 0
 
 
 def _unread(connection: Any) -> int:

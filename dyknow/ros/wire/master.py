@@ -214,6 +214,20 @@ class Master:
     def pid(self, name: str, uri: str, timeout: float) -> int:
         return int(self._ask_node(name, uri, timeout, "getPid"))
 
+    def pid_at(self, name: str, uri: str, timeout: float) -> int:
+        """Return the process id of a node at an address; 0 if it does not answer in time."""
+        try:
+            return self.pid(name, uri, timeout)
+        except (PeerTimeout, LookupError):
+            return 0
+
+    def pid_of(self, name: str, timeout: float) -> int:
+        """Return the process id of a registered node; 0 if it, or the master, does not answer."""
+        with contextlib.suppress(PeerTimeout):
+            uri = self.node(name)
+            return self.pid_at(name, uri, timeout) if uri else 0
+        return 0
+
     def connections(self, uri: str, topic: str, timeout: float) -> set[int]:
         """Query the ports to which a node at ``uri`` sends a topic that it publishes."""
         infos = self._ask_node(f"at {uri}", uri, timeout, "getBusInfo")
