@@ -27,6 +27,7 @@ from dyknow.errors import HostError, PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.transport.node import is_offered_within
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
 
@@ -217,22 +218,12 @@ def _cause(error: Exception) -> str:
 def _wait_for(service: str) -> None:
     """Wait until the service is offered, and log it now and then."""
     rospy.logdebug(f"Waiting for service {service} to be available...")
-    if _is_available(service, 1.0):
+    if is_offered_within(service, 1.0):
         return
     resolved = rospy.resolve_name(service)
     rospy.loginfo(f"waitForService: Service [{resolved}] has not been advertised, waiting...")
     seconds = 0
-    while not _is_available(service, 10.0):
+    while not is_offered_within(service, 10.0):
         seconds += 10
         rospy.logwarn(f"Waiting for service {service} to be available for {seconds} seconds...")
     rospy.loginfo(f"waitForService: Service [{resolved}] is now available.")
-
-
-def _is_available(service: str, timeout: float) -> bool:
-    try:
-        rospy.wait_for_service(service, timeout)
-    except rospy.ROSInterruptException:
-        raise
-    except rospy.ROSException:
-        return False
-    return True

@@ -23,6 +23,7 @@ from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.ros.scripts.sandbox import Sandbox, outside_of_finalizers
 from dyknow.ros.transport.conversions import connection_header, copy_of
+from dyknow.ros.transport.node import is_offered_within
 
 #: rospy's queues have no bound by default; ours have a generous one.
 _QUEUE = 1000
@@ -44,17 +45,12 @@ def wait_for(
 
 def wait_for_service(sandbox: Sandbox, name: str, timeout: Any) -> None:
     """Wait until a service is there, as rospy does."""
-
-    def is_there(seconds: float) -> bool:
-        try:
-            rospy.wait_for_service(name, max(seconds, _LEAST))
-        except rospy.ROSInterruptException:
-            raise
-        except rospy.ROSException:
-            return False
-        return True
-
-    wait_for(sandbox, is_there, timeout, f"service {name}")
+    wait_for(
+        sandbox,
+        lambda seconds: is_offered_within(name, max(seconds, _LEAST)),
+        timeout,
+        f"service {name}",
+    )
 
 
 def _arguments(rospy_class: type[Any], *args: Any, **kwds: Any) -> dict[str, Any]:

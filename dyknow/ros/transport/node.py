@@ -94,6 +94,17 @@ def _search_param(handle: Any, param_name: str) -> Any:
         return None
 
 
+def is_offered_within(service: str, seconds: float) -> bool:
+    """Wait for a service, at most so long; raises ROSInterruptException when the node ends."""
+    try:
+        rospy.wait_for_service(service, seconds)
+    except rospy.ROSInterruptException:
+        raise
+    except rospy.ROSException:
+        return False
+    return True
+
+
 def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
     """Wait as ``rospy.wait_for_service`` does, until the nodelet is unloaded at most."""
     name = _resolve_service(handle, service)
@@ -101,15 +112,11 @@ def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
     left = math.inf if patience is None else patience
     end = time.monotonic() + left
     while not handle.is_shutdown():
-        try:
-            rospy.wait_for_service(name, min(_SLICE, left))
+        if is_offered_within(name, min(_SLICE, left)):
             return
-        except rospy.ROSInterruptException:
-            raise
-        except rospy.ROSException:
-            left = end - time.monotonic()
-            if left <= 0:
-                raise
+        left = end - time.monotonic()
+        if left <= 0:
+            raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
     raise Interrupted(f"service '{name}': nodelet {handle.get_name()} was unloaded")
 
 
