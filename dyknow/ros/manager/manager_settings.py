@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Iterator, Sequence
 
 import rosgraph
@@ -33,34 +33,7 @@ _BEARER = "node"
 _GUARDS = ("string_length", "array_length", "nodelets")
 _SIZES = ("text_size", "transformations")
 
-#: The private parameters that a DyKnow manager reads.
-PARAMETERS = (
-    "nodelet_managers",
-    "num_nodelet_managers",
-    "state_dir",
-    "ontologies",
-    "catalogues",
-    "language",
-    "transformations",
-    "use_exports",
-    "wiring",
-    "keep",
-    "spawn_timeout",
-    "orphan_timeout",
-    "recover",
-    "max_clock_offset",
-    "shared_memory",
-    "watchdog",
-    "spread",
-    "spread_load",
-    "denied_topics",
-    "allowed_topics",
-    "allowed_programs",
-    "remote_programs",
-    "read_only",
-    "limits",
-)
-#: Those that are namespaces, with the parameters in them.
+#: Parameters that are namespaces, with the parameters in them.
 GROUPS = {"watchdog": ("hung", "stuck", "memory"), "limits": (*_GUARDS, *_SIZES)}
 
 
@@ -172,6 +145,13 @@ class ManagerSettings:
             os.makedirs(os.path.dirname(path), 0o700, exist_ok=True)
             with open(path, "x", encoding="utf-8", opener=only_for_owner) as file:
                 file.write(rospy.get_name())
+
+
+#: The private parameters that a DyKnow manager reads; guards are read one by one.
+PARAMETERS = (
+    *(each.name for each in fields(ManagerSettings) if each.name != "guards"),
+    *("denied_topics", "allowed_topics", "allowed_programs", "remote_programs", "read_only"),
+)
 
 
 def mirror_path() -> str:
