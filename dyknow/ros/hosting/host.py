@@ -48,7 +48,7 @@ from dyknow.ros.hosting.reconfigure import reconfigure
 from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
-from dyknow.ros.wire import ages
+from dyknow.ros.wire import ages_and_sizes
 from dyknow.ros.wire.addresses import ADDRESSES, host_of
 from dyknow.ros.wire.poll_client import HAND_OVER
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
@@ -381,7 +381,7 @@ class RosHost(Host):
         return [each for peer, number in asked for each in peer.traffic(number, deadline)]
 
     def is_stamped(self, datatype: str) -> bool | None:
-        return ages.is_stamped(datatype)
+        return ages_and_sizes.is_stamped(datatype)
 
     def verdicts(self, topics: Collection[str]) -> dict[str, HeardVerdict]:
         return self._verdicts.follow(topics)

@@ -19,7 +19,7 @@ from dyknow.manager.host import Count, Listening
 from dyknow.nodelet.parked import latching
 from dyknow.periodic import Workers
 from dyknow.ros.transport.registrar import Registrar
-from dyknow.ros.wire.ages import age_of_serialised
+from dyknow.ros.wire.ages_and_sizes import age_of_serialised
 
 #: Seconds to wait, at the end, for a registration that is going on.
 _END_PATIENCE = 0.5

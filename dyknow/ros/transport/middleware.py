@@ -43,9 +43,8 @@ from dyknow.ros.transport.node import RospyNode, make_ticker
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.transport.shared_memory import SharedMemory
 from dyknow.ros.transport.topics import RospyPublisher, RospySubscriber
-from dyknow.ros.wire import ages
+from dyknow.ros.wire.ages_and_sizes import age_of, size_of
 from dyknow.ros.wire.master import Master
-from dyknow.ros.wire.sizes import size_of
 
 #: Not below "rosout": to publish there rospy asks the master about a parameter first.
 _log = logging.getLogger("dyknow.master")
@@ -124,7 +123,7 @@ class RospyTransport(Transport):
         return datatype().deserialize(content)
 
     def sample_of(self, message: Any) -> tuple[float | None, int]:
-        return ages.age_of(message), size_of(message)
+        return age_of(message), size_of(message)
 
     def codec(self, datatype: Any, parameter: Parameter) -> Codec | None:
         return images.codec(datatype, parameter)

@@ -15,8 +15,7 @@ from sensor_msgs.msg import Image, Imu, JointState, PointCloud, PointCloud2, Poi
 from std_msgs.msg import Bool, Header, String
 from tf2_msgs.msg import TFMessage
 
-from dyknow.ros.wire.ages import age_of, age_of_serialised, is_stamped
-from dyknow.ros.wire.sizes import size_of
+from dyknow.ros.wire.ages_and_sizes import age_of, age_of_serialised, is_stamped, size_of
 
 NOW = 1000.25
 

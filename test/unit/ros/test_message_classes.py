@@ -16,7 +16,7 @@ from dyknow.manager.store import Store
 from dyknow.nodelets.black_box import BlackBox
 from dyknow.ros.formulas.message_types import message_type
 from dyknow.ros.hosting.installed import _missing_types
-from dyknow.ros.wire.ages import is_stamped
+from dyknow.ros.wire.ages_and_sizes import is_stamped
 from dyknow.ros.wire.message_classes import message_class
 from dyknow.testing.fixtures import nodelet_harness
 

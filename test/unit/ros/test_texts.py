@@ -20,8 +20,8 @@ from dyknow.nodelet.texts import LONGEST, sendable
 from dyknow.ros.nodelets import nodelet_manager
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.transport.middleware import RospyServices
+from dyknow.ros.wire.ages_and_sizes import size_of
 from dyknow.ros.wire.messages import counts_message
-from dyknow.ros.wire.sizes import size_of
 
 HALF = "unknown command \ud83d"
 
