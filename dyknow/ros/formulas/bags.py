@@ -5,14 +5,26 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Callable, Iterator, Mapping
 
 import rosbag
 
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Monitor, Verdict
-from dyknow.ros.wire.bags import bag_errors
 from dyknow.similar import did_you_mean
+
+
+@contextlib.contextmanager
+def bag_errors(path: str) -> Iterator[None]:
+    """Raise DyKnowError for a bag that cannot be read in the block."""
+    try:
+        yield
+    except (OSError, rosbag.ROSBagException) as error:
+        raise DyKnowError(f"bag '{path}' cannot be read: {error}") from error
+    except Exception as error:  # the boundary: rosbag does not check what it reads
+        problem = f"{type(error).__name__}: {error}"
+        raise DyKnowError(f"bag '{path}' is damaged, or is no bag ({problem})") from error
 
 
 class Bag:

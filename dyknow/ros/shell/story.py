@@ -12,7 +12,7 @@ from dyknow_msgs.msg import Verdict
 
 from dyknow.errors import DyKnowError
 from dyknow.model.graph import State
-from dyknow.ros.wire.bags import bag_errors
+from dyknow.ros.formulas.bags import bag_errors
 from dyknow.ros.wire.messages import event_from
 
 
