@@ -25,8 +25,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from dyknow.manager.host import ProcessState
+from dyknow.periodic import Workers
 from dyknow.ros.hosting.grants import PeerContext
-from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.listening import TopicCounter
 from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, Presence
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
@@ -512,12 +513,16 @@ class CountingTest(TellingCase):
 
 class HearingTest(TellingCase):
     def setUp(self):
-        self.hearing = MessageCounter(Registrar())
-        self.addCleanup(self.hearing.close)
+        self.registrar = Registrar()
+        self.registrations = Workers("registering to count messages", 1)
+        self.addCleanup(self.registrations.close, 0.5)
         self.speaker = self.publisher("/spoken", Header)
 
+    def counter(self, topic):
+        return TopicCounter(topic, self.registrar, self.registrations)
+
     def listen(self, topic="/spoken"):
-        counter = self.hearing.listen(topic)
+        counter = self.counter(topic)
         eventually(counter.count, 5.0, "it listens")
         return counter
 
@@ -549,8 +554,8 @@ class HearingTest(TellingCase):
         self.speak(first)
         master = int(Master(rospy.get_name()).ask("getPid"))
         with suspended(master):
-            second = self.hearing.listen("/spoken")
-            third = self.hearing.listen("/elsewhere")
+            second = self.counter("/spoken")
+            third = self.counter("/elsewhere")
             self.speak(first)
             self.assertIsNone(third.count(), "nobody can say that nothing comes")
             third.close()

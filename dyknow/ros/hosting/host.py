@@ -36,16 +36,16 @@ from dyknow.manager.host import (
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation
+from dyknow.periodic import Workers
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.code_files import CodeFiles
 from dyknow.ros.hosting.external import Externals
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.installed import NodeletTypes
-from dyknow.ros.hosting.message_counter import MessageCounter
+from dyknow.ros.hosting.listening import TopicCounter, VerdictTopics
 from dyknow.ros.hosting.peer import POLL_TIMEOUT, Peer, host_errors
 from dyknow.ros.hosting.reconfigure import reconfigure
-from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.process import programs
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire import ages_and_sizes
@@ -65,6 +65,8 @@ _CONNECT_TIMEOUT = 4.0
 _HAND_OVER_TIMEOUT = 20.0
 #: Seconds that a caller waits for the counts of all processes together.
 _COUNTS_PATIENCE = 0.5
+#: Seconds to wait, at the end, for a registration that is going on.
+_COUNTING_PATIENCE = 0.5
 
 
 class RosHost(Host):
@@ -98,7 +100,8 @@ class RosHost(Host):
         self._code = CodeFiles()
         #: Older guards or producers must not replace newer ones.
         self._grants_turn = turn_lock("grants to processes")
-        self._counter = MessageCounter(registrar)
+        self._registrar = registrar
+        self._counting = Workers("registering to count messages", 1)
         self._verdicts = VerdictTopics(on_verdict)
 
     def listen_to_processes(self) -> None:
@@ -387,11 +390,11 @@ class RosHost(Host):
         return self._verdicts.follow(topics)
 
     def listen(self, topic: str) -> Listening:
-        return self._counter.listen(topic)
+        return TopicCounter(topic, self._registrar, self._counting)
 
     def close(self) -> None:
         """Close all connections; our children go on."""
-        self._counter.close()
+        self._counting.close(_COUNTING_PATIENCE)
         self._verdicts.close()
         for peer in self._peers():
             peer.close()

@@ -14,7 +14,7 @@ import rospy
 from clocks import eventually
 from dyknow_msgs.msg import Verdict
 
-from dyknow.ros.hosting.verdicts import VerdictTopics
+from dyknow.ros.hosting.listening import VerdictTopics
 
 
 def received(md5sum=Verdict._md5sum, stamp=0.0):

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Hears the verdicts on which the wiring depends.
+"""Topics to which a host subscribes: it counts their messages, and hears verdicts.
 
-All subscribers of a process to one topic share one connection, and the message class of the first:
-so topics are heard as ``rospy.AnyMsg``, as they are where their messages are counted.
+Registering with the ROS master may take its time, so a thread does that. rospy has one connection
+to each publisher, however many subscribe, and all subscribers of a process to one topic share the
+message class of the first: so every topic is heard as ``rospy.AnyMsg``.
 """
 
 from __future__ import annotations
@@ -17,11 +18,66 @@ import rospy
 from dyknow_msgs.msg import Verdict
 
 from dyknow.locks import state_lock
-from dyknow.manager.host import HeardVerdict
+from dyknow.manager.host import Count, HeardVerdict, Listening
+from dyknow.nodelet.parked import latching
 from dyknow.periodic import Workers
+from dyknow.ros.transport.registrar import Registrar
+from dyknow.ros.wire.ages_and_sizes import age_of_serialised
 
 #: Seconds for registrations that are going on when it is closed.
 _END_PATIENCE = 1.0
+
+
+class TopicCounter(Listening):
+    """Counts the messages of a topic of any type.
+
+    Args:
+        registrar: knows the registrations that the master has yet to confirm.
+        registrations: one thread, which registers for all counters.
+    """
+
+    def __init__(self, topic: str, registrar: Registrar, registrations: Workers) -> None:
+        self._topic = topic
+        self._registrar = registrar
+        self._registrations = registrations
+        self._state_lock = state_lock("message counter")
+        self._messages = 0
+        self._age: float | None = None
+        self._is_latched = False
+        self._is_age_wanted = True
+        self._closed = False
+        self._subscriber: Any | None = None
+        registrations.run(self._register)
+
+    def count(self) -> Count | None:
+        if self._subscriber is None or not self._registrar.is_subscribed(self._topic):
+            return None
+        now = time.monotonic()
+        with self._state_lock:
+            self._is_age_wanted = True
+            return Count(self._messages, now, now, self._is_latched, age=self._age)
+
+    def close(self) -> None:
+        self._closed = True
+        self._registrations.run(self._unregister)
+
+    def _register(self) -> None:
+        if not self._closed:
+            self._subscriber = rospy.Subscriber(
+                self._topic, rospy.AnyMsg, self._add_one, queue_size=1
+            )
+
+    def _unregister(self) -> None:
+        if self._subscriber is not None:
+            self._subscriber.unregister()
+
+    def _add_one(self, message: Any) -> None:
+        with self._state_lock:  # rospy calls from a thread for each publisher
+            self._messages += 1
+            self._is_latched = bool(latching(message))
+            is_age_wanted, self._is_age_wanted = self._is_age_wanted, False
+        if is_age_wanted:
+            self._age = age_of_serialised(message)
 
 
 class VerdictTopics:
