@@ -49,9 +49,11 @@ class Counted(NamedTuple):
     lately: int = 0
 
     @classmethod
-    def of(cls, counts: NodeletCounts) -> Counted:
+    def of(cls, counts: NodeletCounts, before: Mapping[str, int]) -> Counted:
+        """Read counts; ``before`` has the dropped messages of each nodelet before."""
         dropped = sum(each.dropped for each in counts.ports if each.direction == Port.IN)
-        return cls(dropped, counts.callback_errors, counts.recent_error)
+        lately = dropped - before.get(counts.nodelet, dropped)
+        return cls(dropped, counts.callback_errors, counts.recent_error, lately)
 
 
 class DiagnosticsTopic:
@@ -63,16 +65,12 @@ class DiagnosticsTopic:
         claims: Callable[[], Iterable[StreamStatus]],
         trouble: Callable[[], str],
         count: Callable[[], Iterable[NodeletCounts]],
-        hosts: Callable[[], tuple[Sequence[HostStatus], float]] = lambda: ((), 0.0),
+        hosts: Callable[[], tuple[Sequence[HostStatus], float]],
     ) -> None:
         """Advertise the topic.
 
-        Args:
-            model: returns the model of this moment.
-            claims: returns the claims.
-            trouble: returns why changes are not on disk; empty if they are.
-            count: counts the messages and errors of nodelets.
-            hosts: returns the hosts, and the seconds by which their clocks may differ.
+        ``trouble`` returns why changes are not on disk, empty if they are, and ``hosts`` the hosts
+        and the seconds by which their clocks may differ.
         """
         self._model = model
         self._claims = claims
@@ -87,15 +85,8 @@ class DiagnosticsTopic:
         """Publish the present diagnostics; returns the seconds until the next."""
         if self._publisher.get_num_connections():
             node = rospy.get_name().lstrip("/")
-            counted = {each.nodelet: Counted.of(each) for each in self._count()}
-            before, self._dropped = (
-                self._dropped,
-                {name: each.dropped for name, each in counted.items()},
-            )
-            counted = {
-                name: each._replace(lately=each.dropped - before.get(name, each.dropped))
-                for name, each in counted.items()
-            }
+            counted = {each.nodelet: Counted.of(each, self._dropped) for each in self._count()}
+            self._dropped = {name: each.dropped for name, each in counted.items()}
             claims, trouble = list(self._claims()), self._trouble()
             found = statuses(node, self._model(), claims, trouble, counted, *self._hosts())
             array = DiagnosticArray(status=found)
