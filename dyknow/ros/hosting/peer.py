@@ -131,9 +131,9 @@ class Peer(ABC):
         """Ask for a poll that begins from now on, and return its number."""
         return self.loop.wake(self._key)
 
-    def wait(self, number: int, deadline: float) -> None:
-        """Wait for a poll that ``wake`` has requested."""
-        self.loop.wait_for(self._key, number, max(0.0, deadline - time.monotonic()))
+    def wait(self, number: int, deadline: float) -> bool:
+        """Wait for a poll that ``wake`` has requested; returns whether it has ended."""
+        return self.loop.wait_for(self._key, number, max(0.0, deadline - time.monotonic()))
 
     def nodelets(
         self, number: int | None = None, incarnation: str = ""
@@ -157,7 +157,7 @@ class Peer(ABC):
         """Wait until it reports a nodelet that it has loaded, also one that was late before."""
         deadline = time.monotonic() + timeout
         while True:
-            self.loop.wait_for(self._key, self.wake(), max(0.0, deadline - time.monotonic()))
+            self.wait(self.wake(), deadline)
             if nodelet in self.presence.nodelets or time.monotonic() >= deadline:
                 return
             time.sleep(_STEP)
@@ -199,8 +199,7 @@ class Peer(ABC):
     def counts(self, number: int, nodelets: Collection[str], deadline: float) -> Counts:
         """Return new counts, after waiting for a poll unless that may take long."""
         if self._is_prompt:
-            left = max(0.0, deadline - time.monotonic())
-            self._is_prompt = self.loop.wait_for(self._key, number, left)
+            self._is_prompt = self.wait(number, deadline)
         with self._state_lock:
             return {name: self._counts.pop(name) for name in nodelets if name in self._counts}
 
