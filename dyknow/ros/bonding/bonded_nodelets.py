@@ -9,30 +9,23 @@ bond of its own.
 
 from __future__ import annotations
 
-from typing import Callable, Protocol
+from typing import Callable
 
 import rospy
 
 from dyknow.errors import DyKnowError
 from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context
-
-
-class _Bonds(Protocol):
-    def add(self, bond_id: str, on_broken: Callable[[], None]) -> None: ...
-
-    def remove(self, bond_id: str) -> None: ...
+from dyknow.ros.bonding.bonds import Bonds
 
 
 class BondedNodelets:
     """Unloads nodelets whose bond is broken, and breaks the bond of those that are unloaded.
 
-    Args:
-        bonds: the bonds of this process.
-        unload: unloads a nodelet; raises DyKnowError if that is done already.
+    ``unload`` unloads a nodelet; it raises DyKnowError if that is done already.
     """
 
-    def __init__(self, bonds: _Bonds, unload: Callable[[Context], None]) -> None:
+    def __init__(self, bonds: Bonds, unload: Callable[[Context], None]) -> None:
         self._bonds = bonds
         self._unload = unload
         self._changed = state_condition("bonded nodelets")

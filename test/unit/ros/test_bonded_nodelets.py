@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from unit.nodelet.fakes import FakeClock, Idle, make_pool_world
 
@@ -33,7 +35,7 @@ class Place:
 
     def __init__(self, runtime):
         self.loader = Loader(runtime, lambda name, _: Idle, on_unloaded=self.unloaded)
-        self.bonds = FakeBonds()
+        self.bonds: Any = FakeBonds()
         self.bonded = BondedNodelets(
             self.bonds, lambda context: self.loader.unload(context.name, context)
         )
