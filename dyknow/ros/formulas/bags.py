@@ -58,12 +58,9 @@ class Bag:
     def verdicts(
         self, monitor: Monitor, topics: Mapping[str, str], progress: Callable[[float], object]
     ) -> Iterator[Verdict]:
-        """Yield the verdicts about all of it.
+        """Yield the verdicts about all of it, with the topic of each port.
 
-        Args:
-            monitor: makes them.
-            topics: the topic of each port.
-            progress: called with the seconds of the bag that are done.
+        ``progress`` is called with the seconds of the bag that are done.
         """
         ports: dict[str, list[str]] = {}
         for port, topic in topics.items():

@@ -56,11 +56,8 @@ def take_waiting(
 ) -> Iterator[Verdict]:
     """Yield the verdicts that present individuals, and the messages that wait for them, decide.
 
-    Args:
-        monitor: makes them.
-        waiting: the last message of each port, of an individual; those that it hears are taken.
-        present: the individuals of each variable.
-        now: when the messages were received.
+    ``waiting`` has the last message of each port, of an individual, all of them received ``now``;
+    those that the monitor hears are taken.
     """
     for variable, names in present.items():
         yield from monitor.individuals(variable, names, now)
@@ -82,12 +79,8 @@ class IndividualStreams:
     ) -> None:
         """Start to look for individuals.
 
-        Args:
-            client: of the manager.
-            tags: a tag with one variable for each port.
-            classes: message classes of ports; a stream of one without may have any type.
-            subscribe: receives the streams.
-            client_id: name of the client; by default this node's.
+        Each port has a tag with one variable; a stream of one without a message class may have any
+        type. By default the client's name is this node's.
 
         Raises:
             BadParameter: a tag has no variable, or several.

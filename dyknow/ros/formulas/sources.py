@@ -56,11 +56,8 @@ class LiveTopics:
     ) -> Iterator[Verdict]:
         """Yield verdicts as they come.
 
-        Args:
-            monitor: makes them.
-            individuals: returns the individuals that are there, by variable; None as long as
-                that is not known, and no state begins.
-            is_over: whether to end.
+        ``individuals`` returns the individuals that are there, by variable; None as long as that
+        is not known, and no state begins.
         """
         while not is_over() and not rospy.is_shutdown():
             try:

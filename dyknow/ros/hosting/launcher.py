@@ -69,12 +69,8 @@ class Launcher:
     ) -> None:
         """Make the folders for logs and files; raises ``HostError`` if they cannot be written.
 
-        Args:
-            master: its caller is the owner of the children.
-            owner: lock that the owner holds while it lives.
-            orphan_timeout: seconds without an owner after which they end; 0 for never.
-            guards: environment of each child, which are its guards from the start.
-            shared_memory: whether they may use it.
+        The caller of the ``master`` owns the children. They end ``orphan_timeout`` seconds after
+        the owner, 0 for never; ``guards`` is their environment, with their guards from the start.
         """
         self._master = master
         self._owner = owner

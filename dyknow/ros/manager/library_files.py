@@ -74,20 +74,12 @@ class PackageExports:
 
 
 class LibraryFiles:
-    """Follows the files.
+    """Follows the files that the settings name, and those that packages export.
 
-    Args:
-        settings: with the files that parameters name.
-        store: keeps the labels of files, which may lose some while no manager runs.
-        exported: lists those of packages.
+    The store keeps the labels of files, which may lose some while no manager runs.
     """
 
-    def __init__(
-        self,
-        settings: ManagerSettings,
-        store: Store,
-        exported: Exported,
-    ) -> None:
+    def __init__(self, settings: ManagerSettings, store: Store, exported: Exported) -> None:
         self._settings = settings
         self._store = store
         #: Labels by file, as they are stored.

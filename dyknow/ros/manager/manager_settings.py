@@ -166,13 +166,8 @@ def state_path(folder: str, master: str, node: str, ending: str) -> str:
     """Return a file of the durable state of a DyKnow manager.
 
     Names that differ in ``_`` and ``/`` alone have the same key. The node that came first has its
-    files, and the others have files of their own.
-
-    Args:
-        folder: the value of ~state_dir; empty for the default, below ROS_HOME.
-        master: address of the ROS master.
-        node: global name of the manager's node.
-        ending: of the file's name.
+    files, and the others have files of their own. An empty ``folder``, the value of ~state_dir, is
+    the default below ROS_HOME.
     """
     folder = os.path.expanduser(folder or os.path.join(rospkg.get_ros_home(), "dyknow"))
     host, port = rosgraph.network.parse_http_host_and_port(master)

@@ -61,12 +61,8 @@ class ManagerServices:
     ) -> None:
         """Offer the services.
 
-        Args:
-            reconciler: does the work, with its manager.
-            messages: makes the answers of get_model.
-            answers: converts claims for clients.
-            after_change: called after each attempt to change something, before it is answered.
-            publish: publishes the model, so that readers of its topic see a change at once.
+        ``after_change`` is called after each attempt to change something, before it is answered;
+        then ``publish``, so that readers of the topic of the model see a change at once.
         """
         self._reconciler = reconciler
         self._manager = reconciler.manager
@@ -154,14 +150,10 @@ class ManagerServices:
         what: Callable[[Any], str] | None = None,
         refused: Callable[[Exception], Any] | None = None,
     ) -> None:
-        """Offer a service.
+        """Offer a service of a private name.
 
-        Args:
-            name: private name.
-            service_class: its type.
-            handler: does the work.
-            what: names a change in the log; None for a service that changes nothing.
-            refused: makes the response of a request that failed.
+        ``what`` names a change in the log; a service without it changes nothing. ``refused`` makes
+        the response of a request that failed.
         """
         response_class = service_class._response_class
 
@@ -326,13 +318,7 @@ class ModelTopic:
     def __init__(
         self, take: Callable[[], Model], messages: ModelMessages, before: Callable[[], None]
     ) -> None:
-        """Advertise the topic.
-
-        Args:
-            take: returns the model of this moment.
-            messages: converts it.
-            before: called before each message.
-        """
+        """Advertise the topic of the models that ``take`` returns; each comes after ``before``."""
         self._take = take
         self._messages = messages
         self._before = before

@@ -32,8 +32,7 @@ _QUEUE_SIZE = 1000
 class Announcer(rospy.SubscribeListener):
     """The changes of this process; the node must be initialised.
 
-    Args:
-        describe: returns the message about a nodelet, loaded or not.
+    ``describe`` returns the message about a nodelet, loaded or not.
     """
 
     def __init__(self, describe: Callable[[str], NodeletPorts]) -> None:

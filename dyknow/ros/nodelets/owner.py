@@ -38,10 +38,7 @@ PATIENCE = 3.0
 
 
 class OwnerLock:
-    """The owner's side.
-
-    Args:
-        path: the file whose name nodelet managers get.
+    """The owner's side; nodelet managers get the name of the file.
 
     Raises:
         StoreError: another owner has it, or the file cannot be made.

@@ -324,11 +324,8 @@ class Sandbox:
     def end_threads(self, files: Collection[str]) -> None:
         """End its threads: wait for them, then raise ``SystemExit`` in them where that is safe.
 
-        It is raised only while a thread runs code of the sandbox's own files: elsewhere the thread
-        might leave a lock held.
-
-        Args:
-            files: source files of its own modules.
+        It is raised only while a thread runs code of its own modules, from these source files:
+        elsewhere the thread might leave a lock held.
         """
         began = time.monotonic()
         me = threading.current_thread()

@@ -30,11 +30,8 @@ _log = logging.getLogger("rosout.dyknow")
 class ScriptCode:
     """One script, ready to be executed once in a sandbox.
 
-    Args:
-        sandbox: executes it.
-        argv: the command line, the path of the script first.
-        init_node: is called as ``rospy.init_node``.
-        package: name of a package whose modules are its own.
+    ``argv`` is the command line, the path of the script first. The script calls ``init_node`` as
+    ``rospy.init_node``, and has modules of the ``package`` of its own.
 
     Raises:
         CannotRun: the file cannot be read.

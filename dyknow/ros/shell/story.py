@@ -27,9 +27,7 @@ class StoryLine(NamedTuple):
 def moments(path: str, claim: str = "") -> list[StoryLine]:
     """Read the changes of claims, verdicts and nodelets in a bag.
 
-    Args:
-        path: of the bag.
-        claim: leave out other claims, and nodelets that it never had.
+    With a ``claim`` other claims, and nodelets that it never had, are left out.
 
     Raises:
         DyKnowError: the bag cannot be read, or has no event of that claim.

@@ -48,11 +48,8 @@ def copy_of(message: Any, datatype: Any = None) -> Any:
     """Copy a message, so that code which changes it afterwards changes its own.
 
     A copy is structural: messages and lists in it are new, and immutable values (bytes, strings,
-    numbers) are shared. So the copy of an image of any size takes microseconds.
-
-    Args:
-        message: the original.
-        datatype: another class of the same type, as ``rospy.numpy_msg`` makes them.
+    numbers) are shared. So the copy of an image of any size takes microseconds. ``datatype`` is
+    another class of the same type, as ``rospy.numpy_msg`` makes them.
     """
     if datatype in (None, message.__class__):
         new = _copied(message)

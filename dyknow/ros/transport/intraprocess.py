@@ -118,14 +118,10 @@ class _Waiting:
 
 
 class OrdinaryHandles(rospy.SubscribeListener):
-    """Ordinary rospy handles of this process on one topic of the bus.
+    """Ordinary rospy handles of this process, at ``uri``, on one topic of the bus.
 
-    Args:
-        name: of the topic.
-        uri: address of this node.
-        address: returns the address of a node.
-        executor: runs callbacks of ordinary subscribers.
-        outbound: returns what takes the place of a connection to a subscriber, of a queue size.
+    ``address`` returns the address of a node, ``executor`` runs callbacks of ordinary subscribers,
+    and ``outbound`` replaces a connection to a subscriber, with a queue size.
     """
 
     outwards: Callable[..., Any]

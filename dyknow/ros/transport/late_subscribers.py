@@ -70,11 +70,9 @@ class Backlog:
         self.gave_up: Callable[[], None] = lambda: None
 
     def expect(self, due: Collection[str], size: int) -> None:
-        """Keep messages from now on.
+        """Keep the newest ``size`` messages from now on; 0 for no bound of the publisher's own.
 
-        Args:
-            due: addresses of the nodes that know of the publisher and have yet to connect.
-            size: messages to keep, the newest; 0 for no bound of the publisher's own.
+        ``due``: addresses of the nodes that know of the publisher and have yet to connect.
         """
         self.due = frozenset(due)
         self._missed = collections.deque(maxlen=size or _MOST)

@@ -50,12 +50,11 @@ from dyknow.ros.wire.master import Master
 _log = logging.getLogger("dyknow.master")
 
 
-def rospy_middleware(executor: Executor, shared_memory: bool = True) -> Middleware:
+def rospy_middleware(executor: Executor, shared_memory: bool) -> Middleware:
     """Make the middleware of this process; the node must be initialised.
 
-    Args:
-        executor: runs callbacks of ordinary rospy subscribers.
-        shared_memory: whether large messages reach other processes of this host through memory.
+    ``executor`` runs callbacks of ordinary rospy subscribers. With ``shared_memory`` large
+    messages reach other processes of this host through memory.
     """
     transport = RospyTransport(executor, shared_memory)
     return Middleware(transport, RospyServices(), make_ticker(), RospyNode())

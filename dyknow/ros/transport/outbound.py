@@ -48,10 +48,8 @@ class Share:
 class Outbound:
     """A connection of rospy to a subscriber, which takes frames and shares.
 
-    Args:
-        connection: rospy's.
-        queue_size: messages that wait at most; 0 or None for any number.
-        arena: of this process; None if it shares no memory.
+    At most ``queue_size`` messages wait, with 0 or None any number. Without the arena of this
+    process it shares no memory.
     """
 
     def __init__(self, connection: Any, queue_size: int | None, arena: Arena | None) -> None:

@@ -268,10 +268,8 @@ def _key(kind: str, name: str, datatype_or_uri: str) -> Key:
 def guard_topics(check_topic: Callable[[str], None]) -> None:
     """Check each topic before rospy registers it, for code that uses rospy itself.
 
-    The hook is one instance attribute of rospy's topic manager.
-
-    Args:
-        check_topic: raises Denied if nothing must be connected to the topic.
+    ``check_topic`` raises Denied if nothing must be connected to the topic. The hook is one
+    instance attribute of rospy's topic manager.
     """
     manager = get_topic_manager()
     acquire = manager.acquire_impl

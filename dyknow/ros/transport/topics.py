@@ -52,11 +52,7 @@ def _unremapped(topic: str) -> str:
 class RospyPublisher(OutsidePublisher):
     """A rospy.Publisher that sends only while it has listeners outside.
 
-    Args:
-        intraprocess: owns what ordinary rospy handles of this process exchange on the topic.
-        shared_memory: takes large messages to other processes.
-        registrar: has the master's answer to the registration.
-        topic: the further arguments are those of ``Middleware.advertise``.
+    The arguments from the topic on are those of ``Transport.advertise``.
     """
 
     heard: bool = False
@@ -215,9 +211,7 @@ class RospyPublisher(OutsidePublisher):
 class RospySubscriber(OutsideSubscriber):
     """A rospy.Subscriber that feeds one connection of the bus.
 
-    Args:
-        registrar: has the master's answer to the registration.
-        topic: the further arguments are those of ``Middleware.subscribe``.
+    The arguments from the topic on are those of ``Transport.subscribe``.
     """
 
     def __init__(

@@ -277,9 +277,7 @@ class Master:
         Otherwise it would shut the address down when the name registers again, and with it any
         node that has the port by then.
 
-        Args:
-            node: its name.
-            uri: its address; registrations of a successor of that name stay.
+        Registrations of a successor of that name, at another address, stay.
         """
         publishers, subscribers, services = self.ask("getSystemState")
         dead = Master(node, self.uri, self.timeout)

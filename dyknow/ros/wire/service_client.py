@@ -174,17 +174,11 @@ class ServiceClient:
         reconnects: bool = True,
         beside: str = "",
     ) -> None:
-        """Prepare calls; nothing is sent yet.
+        """Prepare calls of a service of that global name; nothing is sent yet.
 
-        Args:
-            master: where the service is looked up.
-            name: global name of the service.
-            service_class: generated class.
-            persistent: keep the connection.
-            reconnects: connect again when a kept connection is lost, perhaps to another process
-                that offers the service now.
-            beside: a service of the same process, which is looked up instead of one that is not
-                registered with the master.
+        A client that ``reconnects`` connects again when a kept connection is lost, perhaps to
+        another process that offers the service now. ``beside`` is a service of the same process,
+        which is looked up instead of one that is not registered with the master.
         """
         self.name = name
         self._master = master
@@ -206,10 +200,8 @@ class ServiceClient:
         answer has come. Until then its calls fail at once, so a server that hangs holds up the
         first call alone.
 
-        Args:
-            timeout: seconds for all of it, the wait for the calls of other threads included.
-            args: fields of the request, or the request itself.
-            kwds: fields of the request.
+        The ``timeout`` is for all of it, the wait for the calls of other threads included. The
+        further arguments are the request itself, or its fields.
 
         Raises:
             ServiceFailed: the service says that it failed.
