@@ -14,6 +14,7 @@ import dataclasses
 import enum
 import math
 from functools import partial
+from operator import attrgetter
 from typing import Any, Mapping, Sequence, TypeVar
 
 from dyknow_msgs import msg, srv
@@ -44,6 +45,8 @@ from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 T = TypeVar("T")
 
+#: Begins the types of messages that are in others.
+_OURS = "dyknow_msgs/"
 #: Prefix of the lines of an answer to ``acquire_stream`` that are warnings.
 _WARNING = "warning: "
 #: Types of times, and the number of seconds that they cannot hold any more.
@@ -51,14 +54,28 @@ _SECONDS = {"duration": (Duration, 2**31), "time": (Time, 2**32)}
 
 
 def _message(message_class: type[Any], value: object, /, **fields: object) -> Any:
-    """Make a message from ``fields``, and the rest from the attributes of a value."""
+    """Make a message from ``fields``, and the rest from the attributes of a value.
+
+    An unknown one, of None, is a NaN in a message, or else 0 or empty.
+    """
     for name, kind in zip(message_class.__slots__, message_class._slot_types):
-        if name not in fields and hasattr(value, name):
-            fields[name] = _field(name, kind, getattr(value, name))
+        if name in fields or not hasattr(value, name):
+            continue
+        attribute = getattr(value, name)
+        if attribute is not None:
+            fields[name] = _field(name, kind, attribute)
+        elif kind.startswith("float"):
+            fields[name] = math.nan
     return message_class(**fields)
 
 
 def _field(name: str, kind: str, value: Any) -> Any:
+    if name == "direction":
+        return direction_message(value)
+    if kind.startswith(_OURS):
+        class_name, is_list, _ = kind[len(_OURS) :].partition("[")
+        make = partial(_message, getattr(msg, class_name))
+        return list(map(make, value)) if is_list else make(value)
     if kind in _SECONDS:
         time_class, end = _SECONDS[kind]
         if not abs(value) < end:
@@ -77,7 +94,9 @@ def _value(value_class: type[T], message: Any, /, **attributes: object) -> T:
     ]
     for name in names:
         if name not in attributes and hasattr(message, name):
-            attributes[name] = _attribute(getattr(message, name))
+            is_direction = name == "direction"
+            field = getattr(message, name)
+            attributes[name] = direction_from(message) if is_direction else _attribute(field)
     return value_class(**attributes)
 
 
@@ -98,12 +117,11 @@ def direction_from(message: Any) -> str:
     return OUT if message.direction == msg.Port.OUT else IN
 
 
-def port_message(port: PortState | Port) -> msg.Port:
-    return _message(msg.Port, port, direction=direction_message(port.direction))
+port_message = partial(_message, msg.Port)
 
 
 def port_from(message: msg.Port) -> PortState:
-    return _value(PortState, message, direction=direction_from(message))
+    return _value(PortState, message)
 
 
 def config_message(config: Mapping[str, str]) -> list[msg.PortConfig]:
@@ -131,23 +149,21 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
         msg.Transformation,
         transformation,
         parameters=_parameter_messages(transformation.parameters),
-        ports=list(map(port_message, transformation.ports)),
         specification=transformation.to_xml(),
     )
 
 
 def transformation_from(message: msg.Transformation) -> Transformation:
-    ports = (_value(Port, each, direction=direction_from(each)) for each in message.ports)
+    ports = (_value(Port, each) for each in message.ports)
     parameters = parameters_from(message.parameters)
     return _value(Transformation, message, parameters=parameters, ports=tuple(ports))
 
 
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
-    ports = list(map(port_message, nodelet.ports))
     parameters = _parameter_messages(nodelet.parameters)
     owner = f"{OWNER}{nodelet.owner}" if nodelet.owner else ""
     detail = "; ".join(filter(None, (nodelet.detail, owner)))
-    return _message(msg.Nodelet, nodelet, ports=ports, parameters=parameters, detail=detail)
+    return _message(msg.Nodelet, nodelet, parameters=parameters, detail=detail)
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
@@ -195,23 +211,7 @@ def host_from(message: msg.HostStatus) -> HostStatus:
 
 # Statistics: a rate or an age of NaN is unknown
 
-
-def statistics_message(statistics: NodeletStatistics) -> srv.GetStatisticsResponse:
-    ports = [
-        msg.PortStatistics(
-            port=each.port,
-            direction=direction_message(each.direction),
-            topic=each.topic,
-            messages=each.messages or 0,
-            dropped=each.dropped or 0,
-            rate=math.nan if each.rate is None else each.rate,
-            mean_callback=Duration.from_sec(each.mean_callback or 0.0),
-            max_callback=Duration.from_sec(each.max_callback or 0.0),
-        )
-        for each in statistics.ports
-    ]
-    errors = statistics.callback_errors or 0
-    return _message(srv.GetStatisticsResponse, statistics, callback_errors=errors, ports=ports)
+statistics_message = partial(_message, srv.GetStatisticsResponse)
 
 
 def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:
@@ -222,35 +222,16 @@ def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:
 
 
 def _port_statistics_from(message: msg.PortStatistics) -> PortStatistics:
-    direction = direction_from(message)
     if math.isnan(message.rate):
-        return PortStatistics(message.port, direction, message.topic, None, None, None, None, None)
-    return _value(PortStatistics, message, direction=direction)
+        return PortStatistics(message.port, direction_from(message), message.topic, *(None,) * 5)
+    return _value(PortStatistics, message)
 
 
 def counts_message(nodelet: str, statistics: NodeletStatistics, busy: float) -> msg.NodeletCounts:
     """Make the counts of a nodelet whose callbacks have taken so many seconds."""
-    ports = [
-        msg.PortCount(
-            port=each.port,
-            direction=direction_message(each.direction),
-            messages=each.messages or 0,
-            latched=each.latched,
-            age=math.nan if each.age is None else each.age,
-            dropped=each.dropped or 0,
-            size=each.size,
-        )
-        for each in sorted(statistics.ports, key=lambda each: each.port)
-    ]
-    errors = statistics.callback_errors or 0
-    return _message(
-        msg.NodeletCounts,
-        statistics,
-        nodelet=nodelet,
-        ports=ports,
-        callback_errors=errors,
-        busy=busy,
-    )
+    ports = sorted(statistics.ports, key=attrgetter("port"))
+    fields = {"nodelet": nodelet, "ports": [_message(msg.PortCount, each) for each in ports]}
+    return _message(msg.NodeletCounts, statistics, busy=busy, **fields)
 
 
 def counts_from(message: msg.Counts) -> tuple[NodeletCount, ...]:
@@ -309,9 +290,7 @@ def stream_from(message: msg.StreamStatus) -> StreamStatus:
     return _value(StreamStatus, message, state=ClaimState(message.state))
 
 
-def event_message(event: StreamEvent) -> msg.StreamEvent:
-    before = msg.StreamStatus() if event.before is None else stream_message(event.before)
-    return _message(msg.StreamEvent, event, before=before, after=stream_message(event.after))
+event_message = partial(_message, msg.StreamEvent)
 
 
 def event_from(message: msg.StreamEvent) -> StreamEvent:
