@@ -42,7 +42,7 @@ from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import ControlLoop, RunningClock, Work, in_background
-from dyknow.ros.bonding.claim_bonds import ClaimBonds
+from dyknow.ros.bonding.bonded import ClaimBonds
 from dyknow.ros.formulas.message_types import message_type
 from dyknow.ros.hosting.children import Children
 from dyknow.ros.hosting.fixed_nodelets import FixedNodelets

@@ -36,7 +36,7 @@ from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.nodelet.texts import encodable, sendable
 from dyknow.proxy.proxy import NodeletProxy
-from dyknow.ros.bonding.bonded_nodelets import BondedNodelets
+from dyknow.ros.bonding.bonded import BondedNodelets
 from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import TOPIC, Announcer
 from dyknow.ros.nodelets.nodelet_log import NodeletLog

@@ -13,9 +13,9 @@ import pytest
 from clocks import in_thread, join, wait_for
 
 from dyknow.model.streams import StreamRequest
-from dyknow.ros.bonding import claim_bonds
+from dyknow.ros.bonding import bonded
 from dyknow.ros.bonding.bond_table import BondTable, BondTimings, DuplicateBond
-from dyknow.ros.bonding.claim_bonds import ClaimBonds
+from dyknow.ros.bonding.bonded import ClaimBonds
 
 TIMINGS = BondTimings(
     connect_timeout=10.0,
@@ -301,8 +301,8 @@ class Table:
 
 @pytest.fixture
 def table(monkeypatch):
-    monkeypatch.setattr(claim_bonds, "Bonds", FakeBonds)
-    monkeypatch.setattr(claim_bonds.rospy, "get_name", lambda: "/manager")
+    monkeypatch.setattr(bonded, "Bonds", FakeBonds)
+    monkeypatch.setattr(bonded.rospy, "get_name", lambda: "/manager")
     return Table()
 
 

@@ -12,7 +12,7 @@ from unit.nodelet.fakes import FakeClock, Idle, make_pool_world
 
 from dyknow.nodelet.loader import Loader
 from dyknow.ros.bonding.bond_table import DuplicateBond
-from dyknow.ros.bonding.bonded_nodelets import BondedNodelets
+from dyknow.ros.bonding.bonded import BondedNodelets
 
 
 class FakeBonds:
