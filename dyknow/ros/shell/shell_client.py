@@ -9,6 +9,7 @@ command starts fast and leaves no trace in the graph.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import socket
@@ -185,7 +186,7 @@ class ShellClient(ManagerClient):
     def _next_model(self, seconds: float, condition: Callable[[Model], bool]) -> Model | None:
         """Read the topic of the model, which is latched, until a message meets a condition."""
         deadline = time.monotonic() + seconds
-        with self._topic("model", msg.Model) as reader:
+        with contextlib.closing(self._topic("model", msg.Model)) as reader:
             while True:
                 try:
                     message = reader.read(max(0.0, deadline - time.monotonic()))

@@ -9,6 +9,7 @@ connection and reads the messages from it.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import threading
@@ -69,12 +70,6 @@ class TopicReader:
             self._connection.shake_hands(what, fields, deadline)
         except socket.timeout as error:
             raise PeerTimeout(what, timeout) from error
-
-    def __enter__(self) -> TopicReader:
-        return self
-
-    def __exit__(self, *unused: object) -> None:
-        self.close()
 
     def read(self, timeout: float, last_only: bool = False) -> Any | None:
         """Return the next message, or the last that has come; None if there is none in time.
@@ -157,7 +152,7 @@ class TopicFollower:
     def _follow(self) -> None:
         self._is_left.clear()
         try:
-            with self._open() as reader:
+            with contextlib.closing(self._open()) as reader:
                 self._reader = reader
                 while not (self._is_left.is_set() or self._closed.is_set()):
                     message = reader.read(_READING, self._last_only)
