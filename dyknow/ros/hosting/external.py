@@ -136,19 +136,14 @@ class External(Peer):
             client.close()
             self._miss(error, may_be_there(error))
             return
-        self._found(
-            ProcessState(
-                self.name,
-                kind,
-                f"{uri}@{pid}",
-                own=False,
-                rewirable=not client.is_stock,
-                host=host_of(uri),
-                foreign=self.is_foreign,
-            ),
-            client,
-            answer,
+        state = replace(
+            self._gone,
+            kind=kind,
+            incarnation=f"{uri}@{pid}",
+            rewirable=not client.is_stock,
+            host=host_of(uri),
         )
+        self._found(state, client, answer)
         if known.state.alive and _address_of(known.state) != uri:
             self.displaced.append(known.state.incarnation)
             self.loop.add(self._ending, self._end_displaced, pause=0.0)
