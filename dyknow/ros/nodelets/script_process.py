@@ -75,13 +75,11 @@ class _ScriptProcess:
         sys.path[0] = os.path.dirname(argv[0])
         self._sandbox = Sandbox(os.path.basename(argv[0]), threading.main_thread(), is_alone=True)
         self._code = ScriptCode(self._sandbox, argv, self._init_node)
-        self._manager: NodeletManager | None = None
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
-        self._shut_down = threading.Event()
-        self._shut_down.set()
-        self._withdrawal_turn = turn_lock("end of a script")
-        os.register_at_fork(after_in_child=self._forget_node)
+        self._manager: NodeletManager | None = None
+        self._have_no_node()
+        os.register_at_fork(after_in_child=self._have_no_node)
 
     def run(self) -> int:
         """Run it to its end, and to that of the threads that it leaves."""
@@ -170,8 +168,11 @@ class _ScriptProcess:
             return
         on_signals(_SIGNALS, self._stop)
 
-    def _forget_node(self) -> None:
-        """Leave the node to the parent; a forked child has the locks of its threads, not them."""
+    def _have_no_node(self) -> None:
+        """Begin without a node; a forked child leaves it to the parent.
+
+        The child has the locks of the parent's threads, not these themselves.
+        """
         self._manager = None
         self._withdrawal_turn = turn_lock("end of a script")
         self._shut_down = threading.Event()
