@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import xmlrpc.client
 from dataclasses import asdict, dataclass, field
-from typing import Any, Collection, Iterator, Mapping, Sequence
+from typing import Any, Collection, Iterable, Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.ros.nodelets.announcements import TOPIC
@@ -106,20 +106,11 @@ class MasterLoss:
         mine = (each for each in lost if self.kept.services[each] in self.living)
         return sorted(mine, key=lambda each: (self.kept.services[each] == self.last, each))
 
-    def service_registrations(self, offered: Collection[str]) -> list[Question]:
-        """Return the registrations of those of the services that are offered."""
-        kept = self.kept
-        return [
-            (
-                "registerService",
-                kept.services[service],
-                service,
-                kept.addresses[service],
-                kept.nodes[kept.services[service]].uri,
-            )
-            for service in self.services()
-            if service in offered
-        ]
+    def service_registrations(self, offered: Iterable[str]) -> Iterator[Question]:
+        """Yield the registrations of services that are offered."""
+        for service in offered:
+            node, address = self.kept.services[service], self.kept.addresses[service]
+            yield "registerService", node, service, address, self.kept.nodes[node].uri
 
     def publisher_registrations(self) -> list[Question]:
         published = {name: topics.published for name, topics in self.living.items()}
