@@ -40,18 +40,23 @@ def get_positive(nh: Any, name: str, default: float, unit: str) -> float:
 class PrivateParameters:
     """All private parameters of a node, from one question: the master may be far away.
 
-    Each method raises BadParameter for a value that is not the expected one.
+    Each method but ``find`` raises BadParameter for a value that is not the expected one.
     """
 
     def __init__(self, given: Any) -> None:
         """Take the parameters; a value in place of all of them has none."""
         self.given: dict[str, Any] = given if isinstance(given, dict) else {}
 
-    def read(self, name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
+    def find(self, name: str, default: Any) -> Any:
         """Return a parameter, also one in a namespace, or its default."""
         value: Any = self.given
         for key in name.split("/"):
             value = value.get(key, default) if isinstance(value, dict) else default
+        return value
+
+    def read(self, name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
+        """Return a parameter, or its default, if its value fits."""
+        value = self.find(name, default)
         if not fits(value):
             raise BadParameter(f"~{name}", value, expected)
         return value

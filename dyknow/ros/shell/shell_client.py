@@ -29,6 +29,7 @@ from dyknow.model.graph import Model, NodeletStatus
 from dyknow.model.streams import StreamEvent
 from dyknow.ros import client
 from dyknow.ros.client import ManagerClient
+from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.wire.master import TIMEOUT, Master
 from dyknow.ros.wire.messages import event_from, model_from
 from dyknow.ros.wire.service_client import ServiceFailed, ServiceLost
@@ -124,15 +125,10 @@ class ShellClient(ManagerClient):
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
         """Values that the parameter server has for parameters of a nodelet, by their names."""
-        stored = self._on_master(lambda: self._looked_up("getParam", nodelet))
-        found = {}
-        for name in parameters:
-            value = stored
-            for part in name.split("/"):
-                value = value.get(part, _UNSET) if isinstance(value, dict) else _UNSET
-            if value is not _UNSET:
-                found[name] = value
-        return found
+        given = self._on_master(lambda: self._looked_up("getParam", nodelet))
+        stored = PrivateParameters(given)
+        found = {name: stored.find(name, _UNSET) for name in parameters}
+        return {name: value for name, value in found.items() if value is not _UNSET}
 
     def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
         """Query nodes for the transports of their connections to other processes.
