@@ -14,7 +14,7 @@ import collections
 import contextlib
 import select
 import socket
-from typing import Any
+from typing import Any, NamedTuple
 
 from rospy.exceptions import TransportTerminated
 
@@ -35,14 +35,11 @@ def wider(one: int, another: int) -> int:
     return max(one, another) if one and another else 0
 
 
-class Share:
+class Share(NamedTuple):
     """A message in shared memory, on its way to one subscriber."""
 
-    __slots__ = ("frame", "region")
-
-    def __init__(self, frame: bytes, region: ArenaRegion) -> None:
-        self.frame = frame
-        self.region = region
+    frame: bytes
+    region: ArenaRegion
 
 
 class Outbound:
