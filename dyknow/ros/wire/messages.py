@@ -28,7 +28,6 @@ from dyknow.model.graph import (
     NodeletKind,
     NodeletStatus,
     PortState,
-    SpawnRequest,
     State,
 )
 from dyknow.model.hosts import UNKNOWN_MACHINE, HostStatus, Machine
@@ -72,6 +71,10 @@ def _message(message_class: type[Any], value: object, /, **fields: object) -> An
 def _field(name: str, kind: str, value: Any) -> Any:
     if name == "direction":
         return direction_message(value)
+    if kind == f"{_OURS}Parameter[]":
+        return [msg.Parameter(*each) for each in value]
+    if kind == f"{_OURS}PortConfig[]":
+        return config_message(value)
     if kind.startswith(_OURS):
         class_name, is_list, _ = kind[len(_OURS) :].partition("[")
         make = partial(_message, getattr(msg, class_name))
@@ -136,21 +139,12 @@ def config_pairs(config: Sequence[msg.PortConfig]) -> list[tuple[str, str]]:
 # Transformations and nodelets
 
 
-def _parameter_messages(parameters: Sequence[Parameter]) -> list[msg.Parameter]:
-    return [msg.Parameter(*each) for each in parameters]
-
-
 def parameters_from(messages: Sequence[msg.Parameter]) -> tuple[Parameter, ...]:
     return tuple(Parameter(each.name, each.type, each.value) for each in messages)
 
 
 def transformation_message(transformation: Transformation) -> msg.Transformation:
-    return _message(
-        msg.Transformation,
-        transformation,
-        parameters=_parameter_messages(transformation.parameters),
-        specification=transformation.to_xml(),
-    )
+    return _message(msg.Transformation, transformation, specification=transformation.to_xml())
 
 
 def transformation_from(message: msg.Transformation) -> Transformation:
@@ -160,10 +154,9 @@ def transformation_from(message: msg.Transformation) -> Transformation:
 
 
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
-    parameters = _parameter_messages(nodelet.parameters)
     owner = f"{OWNER}{nodelet.owner}" if nodelet.owner else ""
     detail = "; ".join(filter(None, (nodelet.detail, owner)))
-    return _message(msg.Nodelet, nodelet, parameters=parameters, detail=detail)
+    return _message(msg.Nodelet, nodelet, detail=detail)
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
@@ -189,9 +182,7 @@ def model_from(message: msg.Model) -> Model:
     )
 
 
-def spawn_message(request: SpawnRequest) -> srv.SpawnRequest:
-    config, parameters = config_message(request.config), _parameter_messages(request.parameters)
-    return _message(srv.SpawnRequest, request, config=config, parameters=parameters)
+spawn_message = partial(_message, srv.SpawnRequest)
 
 
 # Hosts
