@@ -108,7 +108,9 @@ class _LoadClient:
         self._shut_down = threading.Event()
 
     def run(self) -> int:
-        self._listen_for_stop()
+        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._events.put(_Event.STOP))
+        rospy.on_shutdown(self._on_shutdown_request)
+        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
         in_background("load", self._load)
         try:
             return self._follow()
@@ -150,11 +152,6 @@ class _LoadClient:
         if event is not _Event.REFUSED:
             unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
         return DONE if event is _Event.LOADED else INTERRUPTED
-
-    def _listen_for_stop(self) -> None:
-        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._events.put(_Event.STOP))
-        rospy.on_shutdown(self._on_shutdown_request)
-        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
 
     def _on_shutdown_request(self) -> None:
         """Hold up a shutdown by rosnode kill: the unload needs the node."""
