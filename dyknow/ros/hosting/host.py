@@ -360,17 +360,13 @@ class RosHost(Host):
     ) -> dict[str, Mapping[str, Count] | None]:
         deadline = time.monotonic() + _COUNTS_PATIENCE
         peers = {manager: self._peer(manager) for manager in wanted}
-        numbers = {
-            manager: peer.ask_counts(wanted[manager])
-            for manager, peer in peers.items()
-            if peer is not None
-        }
+        numbers = {name: peer.ask_counts(wanted[name]) for name, peer in peers.items() if peer}
         found: dict[str, Mapping[str, Count] | None] = {}
-        for manager, peer in peers.items():
+        for name, peer in peers.items():
             if peer is None:
-                found.update(dict.fromkeys(wanted[manager]))
+                found.update(dict.fromkeys(wanted[name]))
             else:
-                found.update(peer.counts(numbers[manager], wanted[manager], deadline))
+                found.update(peer.counts(numbers[name], wanted[name], deadline))
         return found
 
     def traffic(self) -> builtins.list[NodeletCounts]:
