@@ -145,7 +145,7 @@ class Children:
             child.gone.wait(START_TIMEOUT)
         elif child is not None:
             raise NameTaken(node)
-        if self._launcher.living(node) is not None:
+        if self._launcher.is_living(node):
             raise NameTaken(node, "running", "another node")
 
     def start_node(
@@ -345,7 +345,7 @@ class Children:
         return max(0.0, time.monotonic() - up)
 
     def _launch(self, child: Child) -> None:
-        is_taken = self._launcher.living(child.name) is not None
+        is_taken = self._launcher.is_living(child.name)
         child.went_down(_TAKEN if is_taken else NOT_UP)
         self._notify()
         if is_taken:

@@ -33,7 +33,6 @@ from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.process import os_process
 from dyknow.ros.process.os_process import LogTail, ProcessId
-from dyknow.ros.wire.addresses import is_here
 from dyknow.ros.wire.master import Master
 
 _ANSWER_TIMEOUT = 1.0
@@ -156,7 +155,7 @@ class Launcher:
         self._limit_outputs()
         try:
             uri = self._master.node(name)
-            if self.living(name) is not None:
+            if self.is_living(name):
                 return
             with contextlib.suppress(OSError):
                 os.remove(self._crash_record(name))
@@ -169,18 +168,10 @@ class Launcher:
         except (LookupError, PeerTimeout) as error:
             _log.warning("what %s left at the master: %s", name, error)
 
-    def living(self, name: str) -> ProcessId | None:
-        """Return the process of a node that answers; its id is -1 on another machine."""
+    def is_living(self, name: str) -> bool:
+        """Whether a node of that name answers; raises `PeerTimeout` if the master does not."""
         uri = self._master.node(name)
-        if not uri:
-            return None
-        host, _ = rosgraph.network.parse_http_host_and_port(uri)
-        try:
-            pid = self._master.pid(name, uri, _ANSWER_TIMEOUT)
-            here = is_here(host, _ANSWER_TIMEOUT)
-        except (PeerTimeout, LookupError, OSError):
-            return None
-        return ProcessId.of(pid) if here else ProcessId(-1, -1)
+        return bool(uri) and self._master.pid_at(name, uri, _ANSWER_TIMEOUT) > 0
 
     def is_free(self, name: str) -> bool:
         """Whether no node bears a name, nor may do so on a host that does not answer."""

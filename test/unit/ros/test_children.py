@@ -55,7 +55,8 @@ class FakeLauncher:
         self.cleaned: List[str] = []
         self.at_launch: List[ChildRecord] = []
         self.launched = threading.Event()
-        self.living = self.follow = lambda name: None
+        self.is_living = lambda name: False
+        self.follow = lambda name: None
         self.is_free = lambda *unused: True
         self.registered = lambda name: ""
 
@@ -115,7 +116,7 @@ def new_threads(earlier: Set[threading.Thread]) -> Set[threading.Thread]:
 def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monkeypatch):
     """The child is started as soon as its name is free; until then no call waits for it."""
     monkeypatch.setattr(children_module, "START_TIMEOUT", 3600.0)
-    launcher.living = lambda name: ProcessId(-1, -1)
+    launcher.is_living = lambda name: True
     answers = []
 
     def ensure() -> None:
@@ -126,7 +127,7 @@ def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monk
     asking = in_background("asking", ensure)
     join(asking)
     assert answers == ["nodelet manager '/dyknow_nodelet_manager': another node has that name"]
-    launcher.living = lambda name: None
+    launcher.is_living = lambda name: False
     wait_for(launcher.launched)
     children.end_all()
 
