@@ -30,14 +30,7 @@ from dyknow.manager.store import Store
 from dyknow.model.graph import NodeletKind
 from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records
-from dyknow.ros.hosting.child import (
-    NOT_UP,
-    PATIENCE,
-    START_TIMEOUT,
-    STEP,
-    Child,
-    incarnation_of,
-)
+from dyknow.ros.hosting.child import NOT_UP, PATIENCE, START_TIMEOUT, STEP, Child, incarnation_of
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.grants import PeerContext
 from dyknow.ros.hosting.launcher import Launcher

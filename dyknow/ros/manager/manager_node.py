@@ -54,12 +54,7 @@ from dyknow.ros.manager.diagnostics import DiagnosticsTopic
 from dyknow.ros.manager.keeper import MIRROR, MasterKeeper
 from dyknow.ros.manager.library_files import LOOK_PERIOD, LibraryFiles, PackageExports
 from dyknow.ros.manager.manager_settings import ManagerSettings, mirror_path
-from dyknow.ros.manager.services import (
-    CountsTopic,
-    EventTopic,
-    ManagerServices,
-    ModelTopic,
-)
+from dyknow.ros.manager.services import CountsTopic, EventTopic, ManagerServices, ModelTopic
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.process_guards import to_environment

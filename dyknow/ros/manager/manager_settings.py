@@ -118,10 +118,7 @@ class ManagerSettings:
             ),
             spread=given.one_of("spread", "", "auto") == "auto",
             spread_load=given.number(
-                "spread_load",
-                cls.spread_load,
-                "cores, at least 0.01",
-                lambda value: value >= 0.01,
+                "spread_load", cls.spread_load, "cores, at least 0.01", lambda value: value >= 0.01
             ),
             guards=Guards(
                 denied_topics=given.topic_patterns("denied_topics"),

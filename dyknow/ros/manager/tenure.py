@@ -130,11 +130,7 @@ class Tenure:
             return TenureVerdict.HOLD
 
     def watch(
-        self,
-        loop: ControlLoop,
-        uri: str,
-        leave: Callable[[], None],
-        come_back: Callable[[], None],
+        self, loop: ControlLoop, uri: str, leave: Callable[[], None], come_back: Callable[[], None]
     ) -> None:
         """Look periodically, as ``KEY`` of the loop, and call ``leave`` or ``come_back``."""
         self._uri = uri

@@ -41,11 +41,7 @@ from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import TOPIC, Announcer
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.nodelets.owner import end_when_orphaned
-from dyknow.ros.nodelets.peer_services import (
-    HandOverService,
-    PollService,
-    end_when_displaced,
-)
+from dyknow.ros.nodelets.peer_services import HandOverService, PollService, end_when_displaced
 from dyknow.ros.nodelets.process_guards import SPAWNED, ProcessGuards, caller_of
 from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
 from dyknow.ros.parameters import PrivateParameters

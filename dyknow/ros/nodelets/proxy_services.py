@@ -50,9 +50,7 @@ class ProxyServices(Closable):
     """
 
     def __init__(
-        self,
-        proxy: Proxy,
-        check_caller: Callable[[str, str], None] = lambda caller, what: None,
+        self, proxy: Proxy, check_caller: Callable[[str, str], None] = lambda caller, what: None
     ) -> None:
         self._proxy = proxy
         self._check_caller = check_caller

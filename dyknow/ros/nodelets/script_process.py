@@ -130,10 +130,7 @@ class _ScriptProcess:
         nodelet_class = self._nodelet_class()
         given = PrivateParameters(rospy.get_param("~", {}))
         self._manager = NodeletManager(
-            replace(
-                _SETTINGS,
-                shared_memory=given.flag("shared_memory", _SETTINGS.shared_memory),
-            ),
+            replace(_SETTINGS, shared_memory=given.flag("shared_memory", _SETTINGS.shared_memory)),
             lambda type_name, context: nodelet_class,
             bound=SPAWNED in os.environ,
         )

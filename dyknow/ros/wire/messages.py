@@ -22,14 +22,7 @@ from genpy import Duration, Time, TVal
 
 from dyknow.errors import BadParameter, Result, StreamRefused
 from dyknow.guards import Guards
-from dyknow.model.graph import (
-    OWNER,
-    Model,
-    NodeletKind,
-    NodeletStatus,
-    PortState,
-    State,
-)
+from dyknow.model.graph import OWNER, Model, NodeletKind, NodeletStatus, PortState, State
 from dyknow.model.hosts import UNKNOWN_MACHINE, HostStatus, Machine
 from dyknow.model.statistics import NodeletCount, NodeletStatistics, PortCount, PortStatistics
 from dyknow.model.streams import (
