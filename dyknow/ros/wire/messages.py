@@ -219,25 +219,18 @@ def counts_message(nodelet: str, statistics: NodeletStatistics, busy: float) -> 
 
 
 def counts_from(message: msg.Counts) -> tuple[NodeletCount, ...]:
-    return tuple(
-        NodeletCount(
-            each.nodelet,
-            each.uptime.to_sec(),
-            each.reconfigurations,
-            {port.port: _port_count_from(port) for port in each.ports},
-            each.callback_errors,
-            each.recent_error,
-            each.busy,
-            each.cpu or None,
-            each.memory or None,
-        )
-        for each in message.nodelets
-    )
+    return tuple(map(_count_from, message.nodelets))
+
+
+def _count_from(message: msg.NodeletCounts) -> NodeletCount:
+    ports = {each.port: _port_count_from(each) for each in message.ports}
+    cpu, memory = message.cpu or None, message.memory or None
+    return _value(NodeletCount, message, ports=ports, cpu=cpu, memory=memory)
 
 
 def _port_count_from(message: msg.PortCount) -> PortCount:
     age = None if math.isnan(message.age) else message.age
-    return PortCount(message.messages, message.dropped, age, message.size)
+    return _value(PortCount, message, age=age)
 
 
 # Guards of one manager, which has one allow list at most
