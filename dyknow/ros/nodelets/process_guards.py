@@ -11,7 +11,6 @@ nodes. A process that a DyKnow manager starts has its guards in the environment,
 from __future__ import annotations
 
 import os
-from io import BytesIO
 from typing import Any, Mapping
 
 from dyknow_msgs.msg import Guards as GuardsMessage
@@ -19,6 +18,7 @@ from dyknow_msgs.msg import Guards as GuardsMessage
 from dyknow.errors import Denied, ProtectedFromUnloading
 from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards, together
 from dyknow.locks import state_lock
+from dyknow.ros.transport.conversions import packed
 from dyknow.ros.wire.messages import guards_from
 
 #: Environment variable of programs that a DyKnow manager starts: its guards bind them from their
@@ -30,9 +30,7 @@ _GUARDS = "DYKNOW_GUARDS"
 
 def to_environment(owner: str, guards: GuardsMessage) -> dict[str, str]:
     """Return the environment of a process with the guards of a manager."""
-    buffer = BytesIO()
-    guards.serialize(buffer)
-    return {_GUARDS: f"{owner} {buffer.getvalue().hex()}"}
+    return {_GUARDS: f"{owner} {packed(guards).hex()}"}
 
 
 class ProcessGuards:
