@@ -131,11 +131,7 @@ class ShellClient(ManagerClient):
         return {name: value for name, value in found.items() if value is not _UNSET}
 
     def transports(self, nodes: Collection[str]) -> dict[tuple[str, str, str], list[str]]:
-        """Query nodes for the transports of their connections to other processes.
-
-        Returns:
-            Names, by node, ``in`` or ``out``, and topic; none of a node that does not answer.
-        """
+        """Query nodes for the transports of their connections, as ``Master.transports`` does."""
         found: dict[tuple[str, str, str], list[str]] = {}
         with ThreadPoolExecutor(_WORKERS) as pool:
             for each in pool.map(lambda node: self._master.transports(node, _LOOK), nodes):
