@@ -106,17 +106,13 @@ class Lease:
         return self._request({})
 
     def note_clock(self, clock: float) -> None:
-        """Note an answer, with the clock of the process."""
+        """Note an answer, with the clock of the process; that of a stock one is always 0."""
         self._clock = clock
 
     def answered(self, clock: float) -> None:
         """Note the answer to a renewal, with the clock of the process."""
         self.note_clock(clock)
         self._answered = self._context.running()
-
-    def forget_clock(self) -> None:
-        """Start again with another process, which has another clock."""
-        self._clock = 0.0
 
     def _request(self, producers: Mapping[str, str]) -> dict[str, object]:
         topics = sorted(producers)

@@ -278,13 +278,11 @@ class Peer(ABC):
         self._guards = None
         self._meter = OffsetMeter()
         if self.state.incarnation != state.incarnation:
-            self.lease.forget_clock()
             self.late.clear()
             self.refused.clear()
         with self._state_lock:
             self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
-        if not client.is_stock:
-            self.lease.note_clock(answer.clock)
+        self.lease.note_clock(answer.clock)
 
     def _let_go(self, client: PollClient | None) -> None:
         """Replace the connection, which may be to a process that bears the name no more."""
@@ -316,7 +314,8 @@ class Peer(ABC):
             if client is self._client:
                 self.presence = _answered(self.presence, answer, self._meter.offset)
             self._traffic = answer.counts if is_traffic else self._traffic
-            self.usage = _usage(answer)
+            busy = dict(zip(answer.nodelets, answer.busy))
+            self.usage = Usage(answer.clock, answer.cpu, busy) if answer.cpu else None
         found: Counts = dict.fromkeys(counted)
         answered = time.monotonic()
         for each in answer.counts:
@@ -340,12 +339,6 @@ def _answered(known: Presence, answer: PollResponse, clock: ClockOffset) -> Pres
     machine = machine_from(answer.machine)
     state = replace(known.state, responsive=True, away=False, machine=machine, clock=clock)
     return Presence(state, nodelets=nodelets, process=changes.process)
-
-
-def _usage(answer: PollResponse) -> Usage | None:
-    if not answer.cpu:
-        return None
-    return Usage(answer.clock, answer.cpu, dict(zip(answer.nodelets, answer.busy)))
 
 
 def _merged(

@@ -408,7 +408,7 @@ def test_a_renewal_confirms_the_last_answer_of_the_same_process():
     assert kept.renewal()["duration"] == DURATION
     kept.part()
     assert kept.renewal()["duration"] == PARTING
-    kept.forget_clock()
+    kept.note_clock(0.0)  # of another process
     assert kept.renewal()["confirmed"] == 0.0
 
 
