@@ -28,10 +28,8 @@ from dyknow.errors import HostError, HostTimeout, PeerTimeout
 from dyknow.guards import NO_GUARDS
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, ProcessState, Reported, Usage
-from dyknow.model.hosts import UNKNOWN_OFFSET, ClockOffset
 from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.grants import Lease, PeerContext
-from dyknow.ros.wire.machines import OffsetMeter
 from dyknow.ros.wire.messages import guards_message, machine_from, port_from
 from dyknow.ros.wire.poll_client import PollClient
 
@@ -109,7 +107,6 @@ class Peer(ABC):
         #: Resources that its process has used; None if that is not measured.
         self.usage: Usage | None = None
         self._is_prompt = True
-        self._meter = OffsetMeter()
         self._key = f"polling {name}"
         self.loop = ControlLoop(name=f"peer {name}")
         self.loop.add(self._key, self._round, pause=0.0)
@@ -276,12 +273,11 @@ class Peer(ABC):
         """Note which process it is now, and how it answered."""
         self._let_go(client)
         self._guards = None
-        self._meter = OffsetMeter()
         if self.state.incarnation != state.incarnation:
             self.late.clear()
             self.refused.clear()
         with self._state_lock:
-            self.presence = _answered(Presence(state), answer, UNKNOWN_OFFSET)
+            self.presence = _answered(Presence(state), answer, client)
         self.lease.note_clock(answer.clock)
 
     def _let_go(self, client: PollClient | None) -> None:
@@ -297,7 +293,6 @@ class Peer(ABC):
         is_traffic, self._is_traffic_wanted = self._is_traffic_wanted, False
         asked_for = sorted({*counted, *self.presence.nodelets}) if is_traffic else counted
         renewal = self.lease.renewal()
-        began = self._meter.begin()
         try:
             answer = client.ask(POLL_TIMEOUT, counted=asked_for, guards=handed, **renewal)
         except (HostError, PeerTimeout) as error:
@@ -308,11 +303,9 @@ class Peer(ABC):
         self._guards = guards
         if not client.is_stock:
             (self.lease.answered if renewal else self.lease.note_clock)(answer.clock)
-            if answer.machine.cores:
-                self._meter.add(began, answer.machine.stamp)
         with self._state_lock:
             if client is self._client:
-                self.presence = _answered(self.presence, answer, self._meter.offset)
+                self.presence = _answered(self.presence, answer, client)
             self._traffic = answer.counts if is_traffic else self._traffic
             busy = dict(zip(answer.nodelets, answer.busy))
             self.usage = Usage(answer.clock, answer.cpu, busy) if answer.cpu else None
@@ -331,12 +324,12 @@ class Peer(ABC):
             self._counts.update(found)
 
 
-def _answered(known: Presence, answer: PollResponse, clock: ClockOffset) -> Presence:
+def _answered(known: Presence, answer: PollResponse, client: PollClient) -> Presence:
     """Return the knowledge of a process that has answered, and of its clock."""
     changes = answer.changes
     before = known.nodelets if changes.process == known.process else {}
     nodelets = _merged({name: before.get(name) for name in answer.nodelets}, changes)
-    machine = machine_from(answer.machine)
+    machine, clock = machine_from(answer.machine), client.clock.offset
     state = replace(known.state, responsive=True, away=False, machine=machine, clock=clock)
     return Presence(state, nodelets=nodelets, process=changes.process)
 

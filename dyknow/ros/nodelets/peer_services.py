@@ -14,6 +14,7 @@ but only once. A node that is cut off just then never hears of it, so each also 
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import time
 import xmlrpc.client
@@ -25,6 +26,7 @@ import rosgraph.network
 import rospy
 from dyknow_msgs import msg
 from dyknow_msgs.srv import HandOver, HandOverRequest, HandOverResponse, Poll, PollResponse
+from genpy import Time
 from rospy.impl.registration import get_service_manager
 from rospy.impl.tcpros_service import ServiceImpl
 
@@ -42,7 +44,6 @@ from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
 from dyknow.ros.wire.addresses import connect
-from dyknow.ros.wire.machines import machine_message
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.message_classes import message_class
 from dyknow.ros.wire.messages import counts_message, direction_from, direction_message
@@ -210,6 +211,14 @@ def _parts(content: bytes, sizes: Iterable[int]) -> list[bytes]:
 
 def _message_class(datatype: str) -> Any:
     return None if datatype == "*" else message_class(datatype)
+
+
+def machine_message() -> msg.Machine:
+    """Describe the machine of this process, with the time of this moment."""
+    cores, memory = os.cpu_count() or 1, psutil.virtual_memory()
+    load = os.getloadavg()[0] / cores
+    used = 1.0 - memory.available / memory.total
+    return msg.Machine(Time.from_sec(time.time()), cores, load, used)
 
 
 def probe(uri: str) -> Sight:

@@ -1,9 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Polls one process that runs nodelets, over a connection that is kept."""
+"""Polls one process that runs nodelets, over a connection that is kept, and measures its clock."""
 
 from __future__ import annotations
+
+import collections
+import time
+from operator import attrgetter
+from typing import Any
 
 from dyknow_msgs.msg import NodeletChanges
 from dyknow_msgs.srv import Poll, PollResponse
@@ -12,6 +17,7 @@ from nodelet.srv import NodeletList
 from dyknow import names
 from dyknow.errors import HostError
 from dyknow.model.graph import NodeletKind
+from dyknow.model.hosts import UNKNOWN_OFFSET, ClockOffset
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import (
     OTHER_VERSION,
@@ -22,6 +28,8 @@ from dyknow.ros.wire.service_client import (
 
 #: Services of our nodelet managers and of re-wirable nodes that the master does not list.
 POLL, HAND_OVER = "poll", "hand_over"
+#: Answers of which the quickest counts.
+_SAMPLES = 8
 
 
 class PollClient:
@@ -32,6 +40,7 @@ class PollClient:
 
     Attributes:
         is_stock: whether it turned out to be a stock nodelet manager.
+        clock: measures its clock.
     """
 
     def __init__(self, master: Master, name: str, is_node: bool) -> None:
@@ -44,6 +53,7 @@ class PollClient:
         self._is_node = is_node
         self._seen = 0
         self.is_stock = False
+        self.clock = OffsetMeter()
 
     def ask(self, timeout: float, **request: object) -> PollResponse:
         """Poll it once; raises `PeerTimeout` or ``HostError``.
@@ -51,12 +61,15 @@ class PollClient:
         The ``request`` has the fields of ``Poll`` except for the last seen change.
         """
         if not self.is_stock:
+            began = self.clock.begin()
             try:
                 answer = self._poll.call(timeout, seen=self._seen, **request)
             except ServiceFailed as error:
                 self._find_reason(error)
             else:
                 self._seen = answer.changes.sequence
+                if answer.machine.cores:
+                    self.clock.add(began, answer.machine.stamp)
                 return answer
         found = self._list.call(timeout)
         changes = NodeletChanges(kind=NodeletKind.CPP.value)
@@ -74,3 +87,30 @@ class PollClient:
         if self._is_node or "nonexistent service" not in refusal.answer:
             raise HostError(f"{error}; {OTHER_VERSION}") from error
         self.is_stock = True
+
+
+class OffsetMeter:
+    """Measures how the clock of a process differs from ours; for one thread at a time.
+
+    A process states its time in each answer to a poll. It read its clock between the moments at
+    which the request was sent and the answer received, so the middle of these is wrong by half of
+    the way there and back at most. As in NTP, the quickest of the latest answers counts.
+
+    Attributes:
+        offset: the best estimate of the latest answers.
+    """
+
+    def __init__(self) -> None:
+        self._samples: collections.deque[ClockOffset] = collections.deque(maxlen=_SAMPLES)
+        self.offset = UNKNOWN_OFFSET
+
+    def begin(self) -> tuple[float, float]:
+        """Return the moment at which a request is sent."""
+        return time.time(), time.monotonic()
+
+    def add(self, began: tuple[float, float], stamp: Any) -> None:
+        """Take the time that an answer states, to a request that was sent when it ``began``."""
+        sent, at = began
+        half = (time.monotonic() - at) / 2
+        self._samples.append(ClockOffset(stamp.to_sec() - (sent + half), half))
+        self.offset = min(self._samples, key=attrgetter("error"))

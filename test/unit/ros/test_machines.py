@@ -10,8 +10,9 @@ import time
 import pytest
 from genpy import Time
 
-from dyknow.ros.wire import machines
-from dyknow.ros.wire.machines import OffsetMeter, machine_message
+from dyknow.ros.nodelets.peer_services import machine_message
+from dyknow.ros.wire import poll_client
+from dyknow.ros.wire.poll_client import OffsetMeter
 
 
 class Answers:
@@ -20,8 +21,8 @@ class Answers:
     def __init__(self, patch: pytest.MonkeyPatch, ahead: float) -> None:
         self.now = 1000.0
         self.ahead = ahead
-        patch.setattr(machines.time, "time", lambda: 5e5 + self.now)
-        patch.setattr(machines.time, "monotonic", lambda: self.now)
+        patch.setattr(poll_client.time, "time", lambda: 5e5 + self.now)
+        patch.setattr(poll_client.time, "monotonic", lambda: self.now)
         self.meter = OffsetMeter()
 
     def take(self, there: float, back: float) -> None:
