@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 import rospy
-from std_msgs.msg import String
 from unit.proxy.bench import Bench
 
 from dyknow.errors import LoadFailed
@@ -21,7 +20,6 @@ from dyknow.ros.nodelets import nodelet_manager
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.transport.middleware import RospyServices
 from dyknow.ros.wire.messages import counts_message
-from dyknow.ros.wire.sizes import size_of
 
 HALF = "unknown command \ud83d"
 
@@ -45,11 +43,6 @@ def test_an_error_of_a_callback_can_be_polled(text: str) -> None:
     buffer = BytesIO()
     counts_message("/n", bench.proxy.get_statistics(), 0.0).serialize(buffer)
     assert buffer.tell() < 3 * LONGEST
-
-
-def test_an_error_of_a_callback_is_logged(caplog: Any) -> None:
-    Bench().context.failed("'in'", ValueError(HALF))
-    assert "unknown command ?" in caplog.text
 
 
 def test_a_load_that_fails_answers() -> None:
@@ -94,11 +87,8 @@ def test_an_error_of_a_callback_is_logged_in_the_name_of_its_nodelet(
     monkeypatch.setattr(rospy.impl.rosout, "_rosout_pub", publisher)
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
     context = Bench().context
-    context.failed("'in'", ValueError("late"))
+    context.failed("'in'", ValueError(HALF))
+    assert "unknown command ?" in caplog.text
     topics = {context.name: ["/in"]}
     NodeletLog(topics.get).emit(caplog.records[-1])
     assert [(line.name, line.topics) for line in sent] == [(context.name, ["/in"])]
-
-
-def test_the_size_of_a_message_that_cannot_be_sent_is_not_known() -> None:
-    assert size_of(String(HALF)) == 0
