@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import gc
 import logging
-import sys
 import threading
+import weakref
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,45 +18,11 @@ from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import World
 
 from dyknow.errors import LoadFailed
-from dyknow.nodelet.context import Runtime
-from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.local import LocalMiddleware
-from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts import script as script_module
 from dyknow.ros.scripts.rospy_view import rospy_views
 from dyknow.ros.scripts.sandbox import Sandbox
-from dyknow.ros.scripts.script import ScriptNodelet
 from dyknow.ros.transport.node import RospyNode
-
-
-class Scripts:
-    """Loads scripts, which share ``script_witness`` with the test."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.witness = SimpleNamespace(go_on=threading.Event(), ended=threading.Event())
-        self.runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=WorkerPool(None))
-        self.loader = Loader(self.runtime, lambda type_name, context: ScriptNodelet)
-
-    def load(self, text, name="/script", word=""):
-        file = self.folder / "script.py"
-        begin = "import rospy, script_witness\nrospy.init_node('script')\n"
-        file.write_text(f"#!/usr/bin/env python3\n{begin}{text}\n")
-        self.loader.load(name, "script", {}, [word or str(file)])
-
-    def is_gone(self):
-        eventually(lambda: self.loader.list() == [])
-
-
-@pytest.fixture(name="scripts")
-def _scripts(tmp_path, monkeypatch):
-    scripts = Scripts(tmp_path)
-    monkeypatch.setitem(sys.modules, "script_witness", scripts.witness)
-    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    yield scripts
-    scripts.witness.go_on.set()
-    scripts.runtime.close()
 
 
 class TestTheEnd:
@@ -103,6 +70,10 @@ tick(5)
             scripts.witness.go_on.set()
             scripts.is_gone()
         assert "ValueError: no camera" in caplog.text
+
+    def test_a_script_that_shuts_down_during_its_load_is_loaded_and_then_gone(self, scripts):
+        scripts.load("rospy.signal_shutdown('enough')\nscript_witness.go_on.wait(0.5)")
+        scripts.is_gone()
 
     def test_a_hook_may_join_a_thread_that_asks_for_the_end_too(self):
         sandbox, ended = Sandbox("/sandbox"), []
@@ -220,3 +191,86 @@ def test_each_instance_has_its_own_log_of_what_was_said_once(caplog, monkeypatch
         for name in "ab"
         for text in ("no calibration", "no lens")
     ]
+
+
+# Scripts are freed without garbage collection
+
+
+BLOCK = """
+import threading
+from std_msgs.msg import Header
+from std_srvs.srv import Empty
+block = set()
+script_witness.refer(block)
+"""
+SCRIPTS = {
+    "global": "rospy.spin()",
+    "object with a callback": """
+class Node:
+    def __init__(self):
+        self.block = block
+        self.sub = rospy.Subscriber("in", Header, self.receive)
+        self.service = rospy.Service("service", Empty, self.receive)
+        self.timer = rospy.Timer(rospy.Duration(0.01), self.receive)
+        rospy.on_shutdown(self.end)
+    def receive(self, message):
+        pass
+    def end(self):
+        pass
+def main():
+    node = Node()
+    rospy.spin()
+main()
+""",
+    "thread": """
+def work():
+    mine = block
+    while not rospy.is_shutdown():
+        rospy.sleep(0.01)
+threading.Thread(target=work).start()
+""",
+    "callback in a list": """
+received = []
+def receive(message, more):
+    received.append(message)
+sub = rospy.Subscriber("in", Header, receive, callback_args=received)
+rospy.spin()
+""",
+}
+LATE = """
+def work():
+    script_witness.go_on.wait()
+    script_witness.found = block is not None
+threading.Thread(target=work).start()
+rospy.spin()
+"""
+
+
+@pytest.fixture
+def block(scripts):
+    """Refers weakly to the `block` of the script that was loaded last."""
+    blocks = []
+    scripts.witness.refer = lambda block: blocks.append(weakref.ref(block))
+    gc.collect()
+    gc.disable()
+    yield lambda: blocks[-1]()
+    gc.enable()
+
+
+@pytest.mark.parametrize("kind", SCRIPTS)
+def test_an_unload_frees_a_script_and_so_does_its_failure(scripts, block, kind):
+    scripts.load(BLOCK + SCRIPTS[kind])
+    assert block() is not None
+    scripts.unload()
+    eventually(lambda: block() is None)
+    with pytest.raises(LoadFailed):
+        scripts.load(BLOCK + "raise RuntimeError('injected')")
+    eventually(lambda: block() is None)
+
+
+def test_a_thread_that_does_not_end_keeps_its_modules(scripts, block):
+    scripts.load(BLOCK + LATE)
+    scripts.unload()
+    assert block() is not None
+    scripts.witness.go_on.set()
+    eventually(lambda: getattr(scripts.witness, "found", False))
