@@ -97,7 +97,7 @@ class SmallMaster:
 
 
 class SmallManager:
-    """Answers polls, reports its process id, and ends on request.
+    """Answers polls and further ``functions``, reports its process id, and ends on request.
 
     Attributes:
         kind: its kind if it is a re-wirable node; else empty.
@@ -109,7 +109,7 @@ class SmallManager:
         error: sent in the header of each connection for polls; empty: there is none.
     """
 
-    def __init__(self, kind=""):
+    def __init__(self, kind="", **functions):
         self.kind = kind
         self.nodelets: List[str] = []
         self.requests: List[Any] = []
@@ -126,6 +126,7 @@ class SmallManager:
                 "getPid": lambda caller: self.goes_on.wait() and self.pid,
                 "shutdown": lambda caller, reason: self.ended.set() or 0,
                 "requestTopic": lambda caller, topic, kinds: ["TCPROS", *where],
+                **functions,
             }
         )
         self.uri = self._node.uri

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import http.server
-import itertools
 import logging
 import os
 import socket
@@ -28,7 +27,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
 from rosmaster.master_api import ROSMasterHandler
-from unit.ros.small_graph import SmallManager, XmlRpc, stop_master
+from unit.ros.small_graph import SmallManager, stop_master
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.manager import keeper as keeper_module
@@ -40,7 +39,6 @@ from dyknow.ros.wire.master import Master
 
 ME = "/dyknow_manager"
 TYPE = "std_msgs/Empty"
-_pids = itertools.count(5000)
 
 
 class Core:
@@ -74,28 +72,24 @@ class Core:
         return [publishers, subscribers, services, addresses, dict(self.api.ask("getTopicTypes"))]
 
 
-class SmallNode:
-    """A node that registers once, as every node of ROS 1, and lists its topics."""
+class SmallNode(SmallManager):
+    """A node that registers once, as every node of ROS 1, and lists its topics.
+
+    Attributes:
+        heard: the notifications that came: topics with the addresses of their publishers.
+    """
 
     def __init__(self, core: Core, name: str) -> None:
-        self.name, self.pid = name, next(_pids)
+        super().__init__(
+            getPublications=lambda caller: self._listed(self.published),
+            getSubscriptions=lambda caller: self._listed(self.subscribed),
+            publisherUpdate=lambda caller, *heard: self.heard.append(heard) or 0,
+        )
+        self.name, self.lists_topics = name, True
         self.published: Dict[str, str] = {}
         self.subscribed: Dict[str, str] = {}
-        #: The notifications that came: topics with the addresses of their publishers.
         self.heard: List[Tuple[str, List[str]]] = []
-        self.goes_on = threading.Event()
-        self.goes_on.set()
-        self.lists_topics = True
         self._core = core
-        self._served = XmlRpc(
-            {
-                "getPid": lambda caller: self.goes_on.wait() and self.pid,
-                "getPublications": lambda caller: self._listed(self.published),
-                "getSubscriptions": lambda caller: self._listed(self.subscribed),
-                "publisherUpdate": lambda caller, *heard: self.heard.append(heard) or 0,
-            }
-        )
-        self.uri = self._served.uri
 
     def publish(self, topic: str, datatype: str = TYPE) -> None:
         self.published[topic] = datatype
@@ -107,10 +101,6 @@ class SmallNode:
 
     def offer(self, service: str, address: str) -> None:
         self._ask("registerService", service, address, self.uri)
-
-    def close(self) -> None:
-        self.goes_on.set()
-        self._served.close()
 
     def _listed(self, topics: Dict[str, str]) -> Any:
         return [[topic, topics[topic]] for topic in topics] if self.lists_topics else None
@@ -455,9 +445,8 @@ def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     node = Master("/node", uri)
     node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
     node.ask("registerPublisher", "/top", "std_msgs/Header", URI)
-    assert node.datatype("/space/topic") == "std_msgs/Empty"
-    assert node.datatype("/top") == "std_msgs/Header"
-    assert node.datatype("/space/other") == ""
+    topics = ("/space/topic", "/top", "/space/other")
+    assert [*map(node.datatype, topics)] == ["std_msgs/Empty", "std_msgs/Header", ""]
     node.ask("unregisterPublisher", "/space/topic", URI)
     assert node.datatype("/space/topic") == ""
 
@@ -466,12 +455,10 @@ def test_registrations_are_listed_for_topics_alone_that_are_registered(uri, monk
     """Where there are 600 nodelets a spawn took twice as long with it."""
     node, asked = Master("/node", uri), []
     monkeypatch.setattr(node, "subscribers", lambda topic: asked.append(topic) or ())
-    node.ask("registerSubscriber", "/left", "std_msgs/Empty", URI)
+    for topic in ("/left", "/heard"):
+        node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
     node.ask("unregisterSubscriber", "/left", URI)
-    for topic in ("/new", "/left", "/heard", "/hea", "heard"):
-        if topic == "/heard":
-            node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
-        assert node.datatype(topic) == ""
+    assert [*map(node.datatype, ("/new", "/left", "/heard", "/hea", "heard"))] == [""] * 5
     assert asked == ["/heard"]
 
 
