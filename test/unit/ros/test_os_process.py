@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Processes by id and start time, their owner's lock, and those that end with their owner."""
+"""Processes by id and start time, and those that end with their owner or without their name."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from types import SimpleNamespace
 import psutil
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
+from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import StoreError
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets import owner as owner_module
+from dyknow.ros.nodelets import poll_service
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
+from dyknow.ros.nodelets.poll_service import end_when_displaced
 from dyknow.ros.process import os_process, owned
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.process.owned import Processes, ProcessFailed
@@ -269,3 +272,42 @@ def test_one_that_ends_or_is_not_ready_is_named_with_its_output(
             while True:
                 processes.check(0.01)
                 time.sleep(0.01)
+
+
+# A node that lost its name to another one ends, however late it learns of it
+
+
+@pytest.fixture(name="graph")
+def _graph(monkeypatch):
+    monkeypatch.setattr(poll_service, "NAME_PERIOD", 0.05)
+    with small_graph() as graph:
+        monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
+        yield graph
+
+
+def goes_on(reasons, seconds=0.2):
+    with pytest.raises(queue.Empty):
+        reasons.get(timeout=seconds)
+    return True
+
+
+def test_it_ends_when_another_node_has_its_name_and_not_before(graph):
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons = queue.Queue()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    assert goes_on(reasons)
+    del graph.nodes["/twin"]  # a new master has no registrations
+    assert goes_on(reasons)
+    graph.nodes["/twin"] = SmallManager()
+    try:
+        assert "another node bears the name /twin" in reasons.get(timeout=PATIENCE)
+    finally:
+        elder.close()
+
+
+def test_a_node_goes_on_while_the_master_is_away(graph):
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons = queue.Queue()
+    graph.close()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    assert goes_on(reasons, 0.3)
