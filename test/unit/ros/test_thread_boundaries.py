@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-import threading
+from contextlib import closing
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import pytest
 import rospy
-from clocks import PATIENCE, in_thread, join
+from clocks import eventually, in_thread, join
 from dyknow_msgs.msg import NodeletPorts
 
 from dyknow import periodic
@@ -27,117 +28,75 @@ class Fault:
 
     def __init__(self, work=lambda *arguments, **kwds: None):
         self._work = work
-        self.calls = 0
+        self.is_due = True
         self.done = []
-        self._condition = threading.Condition()
 
     def __call__(self, *arguments, **kwds):
-        self.calls += 1
-        if self.calls == 1:
+        if self.is_due:
+            self.is_due = False
             raise RuntimeError("injected")
-        answer = self._work(*arguments, **kwds)
-        with self._condition:
-            self.done.append(arguments)
-            self._condition.notify_all()
-        return answer
-
-    def is_done(self, times=1):
-        with self._condition:
-            return self._condition.wait_for(lambda: len(self.done) >= times, PATIENCE)
-
-
-class FakeTopic:
-    """Stands for publisher and subscriber; the first publish raises an unexpected error."""
-
-    made = []
-
-    def __init__(self, *arguments, **kwds):
-        self.publish = Fault()
-        self.made.append(self)
-
-    def unregister(self):
-        pass
-
-    def get_num_connections(self):
-        return 1
+        self.done.append(arguments)
+        return self._work(*arguments, **kwds)
 
 
 @pytest.fixture(autouse=True)
-def _fakes(monkeypatch):
-    monkeypatch.setattr(FakeTopic, "made", [])
-    monkeypatch.setattr(rospy, "Publisher", FakeTopic)
-    monkeypatch.setattr(rospy, "Subscriber", FakeTopic)
+def topic(monkeypatch):
+    """Stands for publishers and subscribers; its first publish raises an unexpected error."""
+    topic = mock.Mock(publish=Fault(), get_num_connections=lambda: 1)
+    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **options: topic)
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: topic)
     monkeypatch.setattr(rospy.Time, "now", classmethod(lambda cls: rospy.Time()))
     monkeypatch.setattr(periodic, "RETRY", 0.01)
     monkeypatch.setattr(bonds, "RETRY", 0.01)
-
-
-@pytest.fixture
-def closing():
-    things = []
-    yield things
-    for thing in things:
-        thing.close()
+    return topic
 
 
 @pytest.mark.parametrize("where", ["take", "before", "publish"])
-def test_the_model_is_published_although_something_failed(where):
+def test_the_model_is_published_although_something_failed(topic, where):
     model = Model(1, 1, ())
     take, before = Fault(lambda: model), Fault()
+    take.is_due, before.is_due = where == "take", where == "before"
+    topic.publish.is_due = where == "publish"
     messages: Any = SimpleNamespace(topic=lambda model: model)
-    topic = ModelTopic(
-        take if where == "take" else lambda: model,
-        messages,
-        before if where == "before" else lambda: None,
-    )
-    publish = FakeTopic.made[0].publish
-    publish.calls = 0 if where == "publish" else 1
+    models = ModelTopic(take, messages, before)
     with pytest.raises(RuntimeError, match="injected"):
-        topic.publish()
+        models.publish()
     for _ in range(2):
-        topic.publish()
-    assert publish.done == [(model,)]
+        models.publish()
+    assert topic.publish.done == [(model,)]
 
 
-def test_a_change_is_announced_although_it_failed_at_first(closing):
-    announcer = Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
-    closing.append(announcer)
-    announcer.start()
-    announcer.announce("/a")
-    publish = FakeTopic.made[0].publish
-    assert publish.is_done()
-    assert "/a" in str(publish.done[0][0])
+def test_a_change_is_announced_although_it_failed_at_first(topic):
+    with closing(Announcer(lambda name: NodeletPorts(name, True, [], "", ""))) as announcer:
+        announcer.start()
+        announcer.announce("/a")
+        eventually(lambda: topic.publish.done)
+    assert "/a" in str(topic.publish.done[0][0])
 
 
-def test_heartbeats_of_a_client_go_on(monkeypatch, closing):
+def test_heartbeats_of_a_client_go_on(topic, monkeypatch):
     monkeypatch.setattr(stream_session.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
-    bond = stream_session.ClientBond("/manager")
-    closing.append(bond)
-    assert FakeTopic.made[0].publish.is_done(2)
+    with closing(stream_session.ClientBond("/manager")):
+        eventually(lambda: len(topic.publish.done) >= 2)
 
 
-def test_leases_are_renewed_although_one_of_them_raises(monkeypatch, closing):
+def test_leases_are_renewed_although_one_of_them_raises(monkeypatch):
     monkeypatch.setattr(stream_session, "ClientBond", lambda manager: SimpleNamespace(close=int))
     monkeypatch.setattr(stream_session, "_RETRY", 0.01)
     renew = Fault()
-    client: Any = SimpleNamespace(
-        manager="/manager", renew_stream=renew, list_streams=lambda: (), close=lambda: None
-    )
-    session = stream_session.StreamSession.open(client)
-    closing.append(session)
-    for name in ("first", "second"):
-        stream: Any = SimpleNamespace(claim_id=name, lease=0.03)
-        session.add(stream)
-    assert renew.is_done(4)
+    client: Any = mock.Mock(manager="/manager", renew_stream=renew, list_streams=lambda: ())
+    with closing(stream_session.StreamSession.open(client)) as session:
+        for name in ("first", "second"):
+            session.add(mock.Mock(claim_id=name, lease=0.03))
+        eventually(lambda: len(renew.done) >= 4)
     assert {arguments[0] for arguments in renew.done} == {"first", "second"}
 
 
-def test_bonds_are_served_on(monkeypatch, closing):
-    quiet = SimpleNamespace(publish=lambda status: None, unregister=lambda: None)
-    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **kwds: quiet)
+def test_bonds_are_served_on(topic, monkeypatch):
+    topic.publish.is_due = False
     made = bonds.Bonds("/bond")
     tick = Fault(made._table.tick)
     monkeypatch.setattr(made._table, "tick", tick)
     made.add("b", lambda: None)
-    assert tick.is_done()
+    eventually(lambda: tick.done)
     join(in_thread(lambda: made.close(0.01)))
