@@ -113,10 +113,6 @@ class Workspace:
         """The output of a shell command in a space of the workspace; it must end with 0."""
         return self._run(["/bin/sh", "-c", f". {self.folder / space}/setup.sh; {command}"])
 
-    def test_results(self) -> str:
-        """The summary of the test results of its packages."""
-        return self._run(["catkin_test_results", str(self.folder / "build")])
-
     def _run(self, command: Sequence[str], must_succeed: bool = True) -> str:
         done = subprocess.run(
             command,
