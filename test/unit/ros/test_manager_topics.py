@@ -18,7 +18,7 @@ import rospy
 from clocks import eventually, in_thread, join, wait_for
 from diagnostic_msgs.msg import DiagnosticStatus
 from dyknow_msgs import srv
-from dyknow_msgs.msg import Counts, NodeletCounts, Verdict
+from dyknow_msgs.msg import Counts, NodeletCounts, NodeletPorts, Verdict
 from unit.cli.fake_client import FakeClient
 from unit.manager.world import World
 
@@ -29,6 +29,7 @@ from dyknow.ros.hosting.verdicts import VerdictTopics
 from dyknow.ros.manager import services
 from dyknow.ros.manager.diagnostics import Counted, statuses
 from dyknow.ros.manager.services import CountsTopic, ManagerServices
+from dyknow.ros.nodelets.announcements import Announcer
 
 
 def test_a_change_is_published_before_it_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,3 +236,51 @@ def test_claims(state):
 def test_hosts(host, level, message):
     *_, found = statuses("manager", Model(1, 1, ()), [], "", hosts=[host], max_offset=0.1)
     assert (found.name, found.level, found.message) == ("manager: host rover", level, message)
+
+
+# Announcements of changes in nodelet managers, and their numbers
+
+
+MANY = [f"/n{number:03}" for number in range(500)]
+
+
+@pytest.fixture
+def announced(monkeypatch):
+    """An announcer, and the nodelets of each of its messages."""
+    published = []
+    topic = mock.Mock(publish=published.append)
+    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **options: topic)
+    announcer = Announcer(lambda name: NodeletPorts(name, name != "/gone", [], "", ""))
+    yield announcer, published
+    announcer.close()
+
+
+def names(changes):
+    return [each.nodelet for each in changes.nodelets]
+
+
+def test_a_change_among_many_nodelets_is_announced_alone(announced):
+    announcer, published = announced
+    for name in MANY:
+        announcer.announce(name)
+    announcer.start()
+    eventually(lambda: published)
+    assert (published[0].sequence, names(published[0])) == (500, MANY)
+    announcer.announce("/n007")
+    eventually(lambda: len(published) == 2)
+    assert (published[1].sequence, names(published[1])) == (501, ["/n007"])
+    assert published[1].process == published[0].process
+
+
+def test_each_poll_and_each_newcomer_gets_what_it_has_not_seen(announced):
+    announcer, published = announced
+    for name in ("/b", "/gone", "/a", "/b"):
+        announcer.announce(name)
+    found = {seen: names(announcer.since(seen)) for seen in (0, 2, 3, 4)}
+    assert found == {0: ["/a", "/b", "/gone"], 2: ["/a", "/b"], 3: ["/b"], 4: []}
+    announcer.start()
+    eventually(lambda: published)
+    eventually(lambda: names(announcer.since(0)) == ["/a", "/b"])
+    newcomer = []
+    announcer.peer_subscribe("", None, newcomer.append)
+    assert names(newcomer[0]) == ["/a", "/b"]
