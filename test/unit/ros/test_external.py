@@ -230,18 +230,13 @@ def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(
     peer.wake()
     eventually(lambda: len([each for each in requests if each.duration]) > 2)
     assert (requests[-1].topics, requests[-1].nodelets) == (["/topic"], ["/a"])
-    assert {each.confirmed for each in requests if each.duration} == {1.0}
-    peer.release()
-    assert (requests[-1].topics, requests[-1].duration) == ([], DURATION)
-
-
-def test_polls_of_a_manager_that_ends_renew_a_lease_for_longer(graph, peer):
-    peer.context.producers = {"/topic": "/a"}
-    peer.lease.grant()
+    granted = {(each.confirmed, each.duration) for each in requests if each.duration}
+    assert granted == {(1.0, DURATION)}
     peer.lease.part()
     peer.wait(peer.wake(), time.monotonic() + PATIENCE)
-    last = graph.nodes[FAR].requests[-1]
-    assert (last.topics, last.duration) == (["/topic"], PARTING)
+    assert (requests[-1].topics, requests[-1].duration) == (["/topic"], PARTING)
+    peer.release()
+    assert (requests[-1].topics, requests[-1].duration) == ([], PARTING)
 
 
 def test_guards_are_handed_over_once_and_when_they_change(graph, peer):
