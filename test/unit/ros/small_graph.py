@@ -11,7 +11,7 @@ import socket
 import struct
 import threading
 from io import BytesIO
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Set
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
@@ -100,6 +100,7 @@ class SmallManager:
     """Answers polls and further ``functions``, reports its process id, and ends on request.
 
     Attributes:
+        living: all that have not been closed.
         kind: its kind if it is a re-wirable node; else empty.
         nodelets: names of its nodelets; of a node its own.
         requests: the polls that it answered.
@@ -109,9 +110,11 @@ class SmallManager:
         error: sent in the header of each connection for polls; empty: there is none.
     """
 
-    def __init__(self, kind="", **functions):
+    living: Set[SmallManager] = set()
+
+    def __init__(self, kind="", nodelets=(), **functions):
         self.kind = kind
-        self.nodelets: List[str] = []
+        self.nodelets: List[str] = list(nodelets)
         self.requests: List[Any] = []
         self.pid = next(_pids)
         self.goes_on = threading.Event()
@@ -133,9 +136,11 @@ class SmallManager:
         self.service = f"rosrpc://127.0.0.1:{where[1]}"
         self._open: List[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
+        self.living.add(self)
 
     def close(self):
         """End, as a process that is killed."""
+        self.living.remove(self)
         self.goes_on.set()
         self._node.close()
         self._listener.shutdown(socket.SHUT_RDWR)
@@ -188,11 +193,15 @@ class SmallManager:
 
 @contextlib.contextmanager
 def small_graph():
-    """A master, closed with all that registered."""
+    """A master, closed with all processes."""
     master = SmallMaster()
     try:
         yield master
     finally:
-        for node in master.nodes.values():
-            node.close()
+        close_all()
         master.close()
+
+
+def close_all():
+    for each in [*SmallManager.living]:
+        each.close()

@@ -206,7 +206,6 @@ def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):
         graph.nodes["/dead"].close()
         free = {name: launcher.is_free(name) for name in (*graph.nodes, "/new")}
         assert free == {"/lives": False, "/away": False, "/dead": True, "/new": True}
-        del graph.nodes["/dead"]
 
 
 # Processes that come and go leave nothing with the manager
@@ -216,8 +215,7 @@ def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):
 def host():
     """A host with one node, whose process is gone."""
     with small_graph() as graph:
-        graph.nodes["/n"] = SmallManager("node")
-        graph.nodes["/n"].nodelets = ["/n"]
+        graph.nodes["/n"] = SmallManager("node", ["/n"])
         context = PeerContext(Master("/test", graph.uri))
         host: Any = RosHost(context, Children(context, mock.Mock(), "/", Store()), mock.Mock())
         host.graph = graph
@@ -296,8 +294,7 @@ def test_one_of_that_name_that_another_client_loads_later_is_left_alone(host, ca
 
 def test_one_of_that_name_in_another_process_is_left_alone(host, calls):
     elder = host.graph.nodes["/m"]
-    host.graph.nodes["/m"] = SmallManager()
-    host.graph.nodes["/m"].nodelets = ["/late"]
+    host.graph.nodes["/m"] = SmallManager(nodelets=["/late"])
     elder.close()
     with pytest.raises(HostError):
         host.list("/m")

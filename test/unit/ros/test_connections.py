@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import queue
 import socket
@@ -257,7 +256,7 @@ def test_a_publisher_that_comes_late_is_found_and_a_lost_connection_made_again(g
 def test_the_next_connection_is_to_the_node_that_has_the_name_now(graph, publisher, is_made):
     if not is_made:
         publisher.answers.clear()
-    with Following(graph) as following, contextlib.closing(publisher):
+    with Following(graph) as following:
         publisher.asked.get(timeout=PATIENCE)
         reader = publisher.readers.get(timeout=PATIENCE) if is_made else None
         graph.nodes["/talker"] = successor = SmallPublisher()

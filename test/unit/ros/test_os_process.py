@@ -299,10 +299,7 @@ def test_it_ends_when_another_node_has_its_name_and_not_before(graph):
     del graph.nodes["/twin"]  # a new master has no registrations
     assert goes_on(reasons)
     graph.nodes["/twin"] = SmallManager()
-    try:
-        assert "another node bears the name /twin" in reasons.get(timeout=PATIENCE)
-    finally:
-        elder.close()
+    assert "another node bears the name /twin" in reasons.get(timeout=PATIENCE)
 
 
 def test_a_node_goes_on_while_the_master_is_away(graph):

@@ -44,8 +44,7 @@ SOON = 0.05
 @pytest.fixture
 def manager(monkeypatch):
     with small_graph() as graph:
-        graph.nodes[NAME] = manager = SmallManager()
-        manager.nodelets = ["/b", "/a"]
+        graph.nodes[NAME] = manager = SmallManager(nodelets=["/b", "/a"])
         monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
         yield manager
 
@@ -294,8 +293,8 @@ UNKNOWN_TO_ROSCPP = "received a tcpros connection for a nonexistent service [/ma
 def polled(kind="", error=""):
     """A client of one process, and the process."""
     with small_graph() as graph:
-        graph.nodes[NAME] = process = SmallManager(kind)
-        process.nodelets, process.error = ["/b", "/a"], error
+        graph.nodes[NAME] = process = SmallManager(kind, ["/b", "/a"])
+        process.error = error
         with contextlib.closing(PollClient(Master("/test", graph.uri), NAME, bool(kind))) as each:
             yield each, process
 
