@@ -46,8 +46,16 @@ class Limit:
 
         monkeypatch.setattr(threading.Thread, "start", limited)
 
-    def refuse(self, name, spared=0):
+    def refuse(self, name):
+        self.name = name
+
+    @contextlib.contextmanager
+    def reaches(self, name, spared=0):
+        """Within, a thread of that name is refused, as the caller learns."""
         self.name, self.spared = name, spared
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            yield
+        self.name, self.spared = "", 0
 
 
 @pytest.fixture(name="limit")
@@ -55,16 +63,10 @@ def _limit(monkeypatch):
     return Limit(monkeypatch)
 
 
-def refused():
-    return pytest.raises(RuntimeError, match="can't start new thread")
-
-
 def test_the_next_timer_starts_the_thread_of_the_timers(limit):
     world, fired = World(), threading.Event()
-    limit.refuse("dyknow-timers")
-    with refused():
+    with limit.reaches("dyknow-timers"):
         world.handle().Timer(1.0, lambda event: pytest.fail("it was not made"))
-    limit.refuse("")
     world.handle().Timer(1.0, lambda event: fired.set())
     world.ticker.advance(1.0)
     world.ticker.next_due(PATIENCE)
@@ -110,11 +112,9 @@ def test_nodelets_are_freed_after_the_next_unload(limit, caplog):
 
 def test_a_loop_starts_the_missing_threads_with_the_next_attempt(limit):
     loop, ran = ControlLoop(2, name="looping"), threading.Semaphore(0)
-    limit.refuse("looping", spared=1)
-    with refused():
+    with limit.reaches("looping", spared=1):
         loop.start()
     assert not loop.started
-    limit.refuse("")
     loop.start()
     limit.refuse("looping")
     loop.add("standing", ran.release, after=0.0)  # other threads run it meanwhile
@@ -130,10 +130,8 @@ def test_a_loop_starts_the_missing_threads_with_the_next_attempt(limit):
 
 def test_a_worker_can_be_started_again(limit):
     worker, ran = PeriodicWorker("working", lambda: ran.set()), threading.Event()
-    limit.refuse("working")
-    with refused():
+    with limit.reaches("working"):
         worker.start()
-    limit.refuse("")
     worker.start()
     worker.wake()
     wait_for(ran)
@@ -182,12 +180,10 @@ def test_a_move_that_got_no_thread_is_not_begun(limit):
     unload = functools.partial(loader.unload, "/n")
     moves = HandOvers(loader, lambda datatype: Message, unload)
     loader.load("/n", "idle")
-    limit.refuse("moving")
     for step in (moves.note, lambda name: moves.park(name, [])):
-        with refused():
+        with limit.reaches("moving"):
             step("/n")
         assert moves._moves == {}
-    limit.refuse("")
     moves.park("/n", [])
     limit.refuse("moving")
     moves.take("/n", [])
@@ -230,9 +226,8 @@ def test_a_publisher_whose_connection_got_no_thread_is_connected_later(limit, mo
 
 def test_a_bond_that_got_no_thread_is_not_made(limit):
     made = Bonds("/bond")
-    limit.refuse("bonds")
     for _ in range(2):
-        with refused():
+        with limit.reaches("bonds"):
             made.add("id", lambda: None)
     assert made._table.next_due() is None
 
@@ -240,12 +235,10 @@ def test_a_bond_that_got_no_thread_is_not_made(limit):
 def test_a_script_does_not_wait_for_a_thread_that_it_did_not_get(limit):
     sandbox, ran = Sandbox("sandbox"), threading.Event()
     thread = process_views(sandbox)["threading"]().Thread(target=ran.set, name="refused")
-    limit.refuse("refused")
-    with refused():
+    with limit.reaches("refused"):
         thread.start()
     assert sandbox.threads == []
     sandbox.join()
-    limit.refuse("")
     thread.start()
     join(thread)
     assert ran.is_set()
@@ -255,10 +248,8 @@ def test_a_script_does_not_wait_for_a_thread_that_it_did_not_get(limit):
 
 def test_the_thread_for_finalizers_is_started_by_the_next_sandbox(limit, monkeypatch):
     monkeypatch.setattr(sandbox_module, "_is_deferring", False)
-    limit.refuse("calls of finalizers")
-    with refused():
+    with limit.reaches("calls of finalizers"):
         Sandbox("sandbox")
     assert not sandbox_module._is_deferring
-    limit.refuse("")
     Sandbox("sandbox")
     assert sandbox_module._is_deferring
