@@ -33,23 +33,29 @@ from dyknow.ros.process import os_process, owned
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.process.owned import Processes, ProcessFailed
 
-SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
-STUBBORN = (
-    sys.executable,
-    "-c",
-    "import signal, time; [signal.signal(each, signal.SIG_IGN) for each in (2, 15)]\n"
-    "print('up', flush=True); time.sleep(1000)",
-)
-EXITS = (sys.executable, "-c", "import os; os._exit(3)")
-FORKS = (
-    sys.executable,
-    "-c",
-    "import os, signal, sys, time\n"
-    "pid = os.fork()\n"
-    "if not pid and 'stubborn' in sys.argv: signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-    "if not pid: print('up', os.getpid(), flush=True)\n"
-    "time.sleep(1000)",
-)
+
+def python(code):
+    return (sys.executable, "-c", code)
+
+
+SLEEP = python("import time; print('up', flush=True); time.sleep(1000)")
+EXITS = python("import os; os._exit(3)")
+STUBBORN = python("""
+import signal, time
+for each in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(each, signal.SIG_IGN)
+print("up", flush=True)
+time.sleep(1000)
+""")
+FORKS = python("""
+import os, signal, sys, time
+pid = os.fork()
+if not pid and "stubborn" in sys.argv:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+if not pid:
+    print("up", os.getpid(), flush=True)
+time.sleep(1000)
+""")
 #: Sends SIGTERM to its forked process first, then to itself.
 HANDLES = """
 import os, queue, signal, threading, time
@@ -111,8 +117,7 @@ def test_what_a_child_forked_ends_with_it(tmp_path, stubborn, monkeypatch):
 
 
 def test_a_forked_process_has_signals_of_its_own():
-    command = [sys.executable, "-c", HANDLES]
-    process = subprocess.run(command, timeout=PATIENCE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.run(python(HANDLES), timeout=PATIENCE, stdout=subprocess.PIPE, text=True)
     assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
@@ -267,7 +272,7 @@ def test_one_that_ends_or_is_not_ready_is_named_with_its_output(
     with Processes("test") as processes:
         with pytest.raises(ProcessFailed, match=r"late was not ready .* printed:\n\(nothing\)"):
             processes.start("late", ["sleep", "1000"], ready=lambda: False)
-        processes.start("brief", [sys.executable, "-c", "print('why'); raise SystemExit(3)"])
+        processes.start("brief", [*python("print('why'); raise SystemExit(3)")])
         with pytest.raises(ProcessFailed, match=r"(?s)brief ended with exit code 3; .*why"):
             while True:
                 processes.check(0.01)
