@@ -78,16 +78,6 @@ def topic(monkeypatch):
     made.close()
 
 
-def meanwhile(monkeypatch, act):
-    """Let a test act while a subscriber waits."""
-
-    def sleep(seconds):
-        act()
-        time.sleep(seconds)
-
-    monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
-
-
 def frame(text):
     body = BytesIO()
     String(text).serialize(body)
@@ -104,12 +94,14 @@ def test_a_message_that_has_come_in_part_is_received_before_the_topic_is_left(
     eventually(lambda: topic.connection.read_buff.tell() == 2000)
     rest = [sent[2000:]]
 
-    def send_rest():
+    def sleep(seconds):
         while rest:
             with contextlib.suppress(OSError):
                 topic.publisher.sendall(rest.pop())
+        time.sleep(seconds)
 
-    meanwhile(monkeypatch, send_rest)
+    steady = SimpleNamespace(monotonic=time.monotonic, sleep=sleep)
+    monkeypatch.setattr(topics, "time", steady)
     leaving.drain(PATIENCE)
     assert not rest
     if len(names) == 1:
@@ -124,7 +116,12 @@ def test_the_next_message_of_each_publisher_is_awaited(topic, monkeypatch):
     queued = [frame("first") + frame("last")]
     asked = []
 
-    meanwhile(monkeypatch, lambda: queued and topic.publisher.sendall(queued.pop()))
+    def sleep(seconds):
+        if queued:
+            topic.publisher.sendall(queued.pop())
+        time.sleep(seconds)
+
+    monkeypatch.setattr(topics, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
     leaving.hear(asked.append, 0.0)
     assert queued, "it waits for no time"
     leaving.hear(asked.append, PATIENCE)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import importlib
 import threading
@@ -33,14 +32,19 @@ def _impatient(monkeypatch):
     monkeypatch.setattr(sandbox_module, "_AFTERWARDS", 0.1)
 
 
-def ended_sandbox(work):
-    """End a sandbox while its thread waits; return the thread, and the event that frees it."""
-    sandbox, go_on = Sandbox("sandbox"), threading.Event()
+def test_a_late_thread_ends_when_it_waits_and_does_not_spin_if_it_catches_that(
+    monkeypatch,
+):
+    sandbox, go_on, slept = Sandbox("sandbox"), threading.Event(), []
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=slept.append)
+    monkeypatch.setattr(sandbox_module, "time", clock)
 
     def run():
         go_on.wait()
-        with contextlib.suppress(SystemExit):
-            work(sandbox)
+        for seconds in (1000.0, 0.0, 0.0):
+            with pytest.raises(SystemExit):
+                while True:
+                    sandbox.pause(seconds)
 
     thread = threading.Thread(target=run)
     sandbox.adopt(thread)
@@ -48,31 +52,6 @@ def ended_sandbox(work):
     sandbox.shut_down("unloaded")
     sandbox.end_threads(())
     assert thread.is_alive()
-    return thread, go_on
-
-
-def test_a_thread_that_is_late_ends_when_it_waits():
-    def work(sandbox):
-        while True:
-            sandbox.pause(1000.0)
-
-    thread, go_on = ended_sandbox(work)
-    go_on.set()
-    join(thread)
-
-
-def test_a_thread_that_catches_its_end_does_not_spin(monkeypatch):
-    slept = []
-    clock = SimpleNamespace(monotonic=time.monotonic, sleep=slept.append)
-    monkeypatch.setattr(sandbox_module, "time", clock)
-
-    def work(sandbox):
-        for _ in range(3):
-            with pytest.raises(SystemExit):
-                while True:
-                    sandbox.pause(0.0)
-
-    thread, go_on = ended_sandbox(work)
     slept.clear()
     go_on.set()
     join(thread)
@@ -162,27 +141,28 @@ def threading_of(sandbox):
     return process_views(sandbox)["threading"]()
 
 
-@pytest.mark.parametrize("timeout", [None, 1000.0])
-def test_a_notification_at_the_end_of_a_slice_is_received(timeout):
+@pytest.fixture
+def condition():
+    """Of a script; it is notified at the end of the first slice of a wait."""
+
     def notify():
         with condition:
             condition.notify()
 
     sandbox = SlicedSandbox(notify)
     condition = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
+    return condition
+
+
+@pytest.mark.parametrize("timeout", [None, 1000.0])
+def test_a_notification_at_the_end_of_a_slice_is_received(condition, timeout):
     with condition, condition:
         assert condition.wait(timeout)
         assert condition._is_owned() and not condition._waiters
     assert not condition._is_owned()
 
 
-def test_a_notification_just_after_the_time_is_up_is_received():
-    def notify():
-        with condition:
-            condition.notify()
-
-    sandbox = SlicedSandbox(notify)
-    condition = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
+def test_a_notification_just_after_the_time_is_up_is_received(condition):
     with condition:
         assert condition.wait(0.0)
         assert not condition.wait(-1.0)
