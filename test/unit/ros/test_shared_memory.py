@@ -107,17 +107,7 @@ def test_a_file_that_has_grown_is_mapped_again_or_read(arena, monkeypatch, is_ma
     assert copy(reader, regions[-1])[:1] == b"\x09"
 
 
-def test_a_region_is_used_again_when_nobody_has_it(arena):
-    reader = ArenaReader(arena.address)
-    held = 0
-    for number in range(20):
-        region = arena.write(bytes([number]) * MB)
-        assert copy(reader, region) == bytes([number]) * MB
-        held = held or held_by(arena)
-    assert held_by(arena) <= 2 * held
-
-
-def test_a_message_that_is_gone_is_no_other_one(arena):
+def test_a_region_is_used_again_and_the_message_that_is_gone_is_no_other_one(arena):
     reader = ArenaReader(arena.address)
     region = arena.write(b"old" * MB)
     where = (region.offset, region.number, region.size)
