@@ -408,7 +408,7 @@ def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, monkey
             received += here[1].recv(1000)
         assert (b"early" in received) is is_new, "only the master says that it is to come"
         (taken,) = made.peers()
-        assert isinstance(taken, Outbound)
+        assert isinstance(taken, Outbound) and taken._queue_size == 3
         taken.close()
         assert not made.heard
     finally:

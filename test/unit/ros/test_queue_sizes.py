@@ -10,7 +10,7 @@ import socket
 import struct
 import weakref
 from types import SimpleNamespace
-from typing import Any, Callable, Iterator
+from typing import Any, Iterator
 
 import pytest
 import rospy.topics
@@ -41,12 +41,10 @@ class Topic:
         self.handles = OrdinaryHandles("/t", "http://here", str, self.executor, outbound)
         self.sockets: list[socket.socket] = []
         self.notified: frozenset[str] = frozenset()
-        self.on_register: Callable[[], Any] = list
         fake: Any = SimpleNamespace(Publisher=self._registered, resolve_name=str)
         monkeypatch.setattr(topics, "rospy", fake)
 
     def _registered(self, *arguments: Any, queue_size: int, **options: Any) -> Any:
-        self.on_register()
         self.implementation.set_queue_size(queue_size)
         self.implementation.is_latch |= options["latch"]
         return SimpleNamespace(impl=self.implementation)
@@ -146,16 +144,6 @@ def test_a_publication_that_comes_while_a_subscriber_connects(topic):
     assert topic.sizes() == [7]
     topic.subscribe("/later")
     assert topic.sizes() == [7, 7]
-
-
-def test_a_subscriber_that_connects_during_the_registration_has_a_queue_too(topic):
-    topic.on_register = topic.subscribe
-    publisher = topic.advertise(7)
-    (connection,) = topic.implementation.connections
-    assert isinstance(connection, Outbound)
-    assert topic.sizes() == [7]
-    connection.close()
-    assert not publisher.heard
 
 
 def test_a_subscriber_that_can_be_seen_is_heard(topic):
