@@ -183,7 +183,7 @@ def boot(tmp_path: Path) -> Boot:
     return Boot(file)
 
 
-def test_a_file_is_loaded_once_for_each_of_its_versions(boot: Boot) -> None:
+def test_a_file_is_loaded_once_for_each_of_its_versions(boot):
     wiring = BootWiring("", boot.store, boot.check, boot.load)
     assert not wiring.is_due and wiring.work() is None, "no file is nothing to load"
     for _ in range(2):
@@ -198,9 +198,7 @@ def test_a_file_is_loaded_once_for_each_of_its_versions(boot: Boot) -> None:
     assert boot.loaded == [b"one", b"two", b"two"]
 
 
-def test_what_cannot_be_loaded_now_is_tried_again(
-    boot: Boot, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_cannot_be_loaded_now_is_tried_again(boot, caplog):
     caplog.set_level("INFO", "rosout")
     wiring = boot.start()
     boot.trouble = "no camera"
@@ -220,9 +218,7 @@ def test_what_cannot_be_loaded_now_is_tried_again(
 
 
 @pytest.mark.parametrize("is_there", [False, True])
-def test_a_missing_or_wrong_file_is_refused_unless_one_was_loaded(
-    boot: Boot, is_there: bool
-) -> None:
+def test_a_missing_or_wrong_file_is_refused_unless_one_was_loaded(boot, is_there):
     words = "line 3|:3: expected <wiring>" if is_there else "No such file"
     boot.file.write_bytes(b"wrong") if is_there else boot.file.unlink()
     with pytest.raises(BadParameter, match=rf"~wiring.*robot.xml.*({words})"):
@@ -230,6 +226,5 @@ def test_a_missing_or_wrong_file_is_refused_unless_one_was_loaded(
     boot.file.write_bytes(b"one")
     boot.start().work()
     boot.file.write_bytes(b"wrong") if is_there else boot.file.unlink()
-    wiring = boot.start()
-    assert wiring.work() is None
+    assert boot.start().work() is None
     assert boot.loaded == [b"one"]

@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
-from typing import Any, Dict, List
+from typing import Any, Dict
 from unittest import mock
 
 import pytest
@@ -163,9 +163,7 @@ CLAIM = StreamStatus(
 )
 
 
-def reported(
-    nodelet: NodeletStatus = NODELET, claim: StreamStatus = CLAIM, trouble: str = ""
-) -> List[Any]:
+def reported(nodelet=NODELET, claim=CLAIM, trouble=""):
     return statuses("robot/dyknow_manager", Model(1, 1, (nodelet,)), [claim], trouble)
 
 

@@ -250,24 +250,19 @@ def test_an_output_is_locked_while_its_process_runs(tmp_path):
 # Processes that end with their owner, which learns how one has ended
 
 
-def is_up(processes: Processes, number: int) -> bool:
-    return processes.output(number).startswith("up")
-
-
-def test_all_end_with_their_owner_however_stubborn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_end_with_their_owner_however_stubborn(monkeypatch):
     monkeypatch.setattr(owned, "END_TIMEOUT", 0.2)
     with Processes("test") as processes:
         for number in range(2):
-            processes.start("it", [*STUBBORN], ready=lambda: is_up(processes, number))  # noqa: B023
+            is_up = lambda n=number: processes.output(n).startswith("up")  # noqa: E731
+            processes.start("it", [*STUBBORN], ready=is_up)
         pids, folder = [each.pid for each in processes.started], processes.folder
         processes.check()
     assert not [pid for pid in pids if psutil.pid_exists(pid)]
     assert not Path(folder).exists()
 
 
-def test_one_that_ends_or_is_not_ready_is_named_with_its_output(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_one_that_ends_or_is_not_ready_is_named_with_its_output(monkeypatch):
     monkeypatch.setattr(owned, "START_TIMEOUT", 0.2)
     with Processes("test") as processes:
         with pytest.raises(ProcessFailed, match=r"late was not ready .* printed:\n\(nothing\)"):
