@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A thread that the system refuses (``ulimit -u``, ``pids.max``) leaves nothing half made."""
+"""Threads that the system refuses (``ulimit -u``, ``pids.max``), and exceptions in threads."""
 
 from __future__ import annotations
 
@@ -12,17 +12,26 @@ import socket
 import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import pytest
-from clocks import PATIENCE, eventually, join, wait_for
+import rospy
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
+from dyknow_msgs.msg import NodeletPorts
 from rospy.impl import registration
 from rospy.topics import _SubscriberImpl
 from sensor_msgs.msg import Image
 from unit.nodelet.fakes import Idle, Message, World
 
+from dyknow import periodic
+from dyknow.model.graph import Model
 from dyknow.nodelet.hand_over import HandOvers
 from dyknow.periodic import ControlLoop, PeriodicWorker
-from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros import stream_session
+from dyknow.ros.bonding import bonds
+from dyknow.ros.manager.services import ModelTopic
+from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.process_view import process_views
 from dyknow.ros.scripts.sandbox import Sandbox
@@ -225,7 +234,7 @@ def test_a_publisher_whose_connection_got_no_thread_is_connected_later(limit, mo
 
 
 def test_a_bond_that_got_no_thread_is_not_made(limit):
-    made = Bonds("/bond")
+    made = bonds.Bonds("/bond")
     for _ in range(2):
         with limit.reaches("bonds"):
             made.add("id", lambda: None)
@@ -253,3 +262,87 @@ def test_the_thread_for_finalizers_is_started_by_the_next_sandbox(limit, monkeyp
     assert not sandbox_module._is_deferring
     Sandbox("sandbox")
     assert sandbox_module._is_deferring
+
+
+# Threads go on after any exception in them
+
+
+class Fault:
+    """Raises the first time, and then does its work."""
+
+    def __init__(self, work=lambda *arguments, **kwds: None):
+        self._work = work
+        self.is_due = True
+        self.done = []
+
+    def __call__(self, *arguments, **kwds):
+        if self.is_due:
+            self.is_due = False
+            raise RuntimeError("injected")
+        self.done.append(arguments)
+        return self._work(*arguments, **kwds)
+
+
+@pytest.fixture
+def topic(monkeypatch):
+    """Stands for publishers and subscribers; its first publish raises an unexpected error."""
+    topic = mock.Mock(publish=Fault(), get_num_connections=lambda: 1)
+    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **options: topic)
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: topic)
+    monkeypatch.setattr(rospy.Time, "now", classmethod(lambda cls: rospy.Time()))
+    monkeypatch.setattr(periodic, "RETRY", 0.01)
+    monkeypatch.setattr(bonds, "RETRY", 0.01)
+    return topic
+
+
+@pytest.mark.parametrize("where", ["take", "before", "publish"])
+def test_the_model_is_published_although_something_failed(topic, where):
+    model = Model(1, 1, ())
+    take, before = Fault(lambda: model), Fault()
+    take.is_due, before.is_due = where == "take", where == "before"
+    topic.publish.is_due = where == "publish"
+    messages: Any = SimpleNamespace(topic=lambda model: model)
+    models = ModelTopic(take, messages, before)
+    with pytest.raises(RuntimeError, match="injected"):
+        models.publish()
+    for _ in range(2):
+        models.publish()
+    assert topic.publish.done == [(model,)]
+
+
+def test_a_change_is_announced_although_it_failed_at_first(topic):
+    with contextlib.closing(
+        Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
+    ) as announcer:
+        announcer.start()
+        announcer.announce("/a")
+        eventually(lambda: topic.publish.done)
+    assert "/a" in str(topic.publish.done[0][0])
+
+
+def test_heartbeats_of_a_client_go_on(topic, monkeypatch):
+    monkeypatch.setattr(stream_session.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
+    with contextlib.closing(stream_session.ClientBond("/manager")):
+        eventually(lambda: len(topic.publish.done) >= 2)
+
+
+def test_leases_are_renewed_although_one_of_them_raises(topic, monkeypatch):
+    monkeypatch.setattr(stream_session, "ClientBond", lambda manager: SimpleNamespace(close=int))
+    monkeypatch.setattr(stream_session, "_RETRY", 0.01)
+    renew = Fault()
+    client: Any = mock.Mock(manager="/manager", renew_stream=renew, list_streams=lambda: ())
+    with contextlib.closing(stream_session.StreamSession.open(client)) as session:
+        for name in ("first", "second"):
+            session.add(mock.Mock(claim_id=name, lease=0.03))
+        eventually(lambda: len(renew.done) >= 4)
+    assert {arguments[0] for arguments in renew.done} == {"first", "second"}
+
+
+def test_bonds_are_served_on(topic, monkeypatch):
+    topic.publish.is_due = False
+    made = bonds.Bonds("/bond")
+    tick = Fault(made._table.tick)
+    monkeypatch.setattr(made._table, "tick", tick)
+    made.add("b", lambda: None)
+    eventually(lambda: tick.done)
+    join(in_thread(lambda: made.close(0.01)))
