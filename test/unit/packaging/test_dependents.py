@@ -102,7 +102,7 @@ def test_a_package_that_names_the_messages_alone(tmp_path):
     """The nested package has to be linked beside dyknow, or no crawl finds it."""
     workspace = Workspace(tmp_path / "ws")
     workspace.add_dyknow()
-    workspace.link_messages()
+    (workspace.folder / "src/dyknow_msgs").symlink_to("dyknow/dyknow_msgs")
     workspace.add_user("a_user", "dyknow_msgs")
     workspace.add_user("z_user", "dyknow")
     workspace.make_and_check("a_user", "z_user")

@@ -70,9 +70,6 @@ class Workspace:
             if entry.name != "build" and not entry.name.startswith("."):
                 (package / entry.name).symlink_to(entry)
 
-    def link_messages(self) -> None:
-        (self.folder / "src" / "dyknow_msgs").symlink_to(Path("dyknow") / "dyknow_msgs")
-
     def add_user(self, name: str, *depends: str) -> None:
         """A package with a message, a program in C++ and one in Python that use dyknow_msgs."""
         package = self.folder / "src" / name
