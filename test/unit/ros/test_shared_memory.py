@@ -559,7 +559,7 @@ def test_any_mixture_arrives_in_order(messages):
 
 
 def test_a_connection_made_again_owes_and_reads_nothing_of_the_one_before():
-    subscriber = SimpleNamespace(data_class=Header, queue_size=1, buff_size=999, tcp_nodelay=True)
+    subscriber = SimpleNamespace(data_class=Header, queue_size=1, buff_size=1, tcp_nodelay=True)
     connection = InboundTransport(Inbound("/topic", subscriber, READER), "/topic", "address")
     connection.read_buff.write(FRAME.pack(packing.ELSEWHERE, 0, 0, 0, 0, 0, 0))
     connection.protocol.owed = 2  # a message after these could not be read
@@ -569,11 +569,12 @@ def test_a_connection_made_again_owes_and_reads_nothing_of_the_one_before():
     with peer:
         fields = {"md5sum": Header._md5sum, "type": Header._type, "callerid": "/talker"}
         rosgraph.network.write_ros_handshake_header(peer, fields)
-        connection.read_header()
-        assert connection.callerid_pub == "/talker"
         content = io.BytesIO()
         Header(seq=5).serialize(content)
         peer.sendall(struct.pack("<I", content.tell()) + content.getvalue())
+        peer.shutdown(socket.SHUT_WR)
+        connection.read_header()
+        assert connection.callerid_pub == "/talker"
         assert [message.seq for message in connection.receive_once()] == [5]
         connection.close()
         assert exactly(peer, 7) + peer.recv(1) == b"address"
