@@ -308,10 +308,10 @@ def test_an_older_state_never_replaces_a_newer_one(host, kind):
     """Or a nodelet would be unprotected, or a producer silent, until the next look."""
     has_read, may_go_on = threading.Event(), threading.Event()
     context, nodelets, producers = host._context, {"/n": ["/n"]}, {"/topic": "/n"}
-    if kind == "guards":
-        hand_over, older, newer = host.hand_over, {}, nodelets
-    else:
-        hand_over, older, newer = host.grant, ({}, []), (producers, ["/n"])
+    hand_over, older, newer = {
+        "guards": (host.hand_over, {}, nodelets),
+        "producers": (host.grant, ({}, []), (producers, ["/n"])),
+    }[kind]
 
     def slowly():
         has_read.set()

@@ -146,12 +146,12 @@ def condition():
     """Of a script; it is notified at the end of the first slice of a wait."""
 
     def notify():
-        with condition:
-            condition.notify()
+        with made:
+            made.notify()
 
     sandbox = SlicedSandbox(notify)
-    condition = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
-    return condition
+    made = threading_of(sandbox).Condition(SlowLock(sandbox.end_slice))
+    return made
 
 
 @pytest.mark.parametrize("timeout", [None, 1000.0])

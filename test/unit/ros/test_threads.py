@@ -311,9 +311,8 @@ def test_the_model_is_published_although_something_failed(topic, where):
 
 
 def test_a_change_is_announced_although_it_failed_at_first(topic):
-    with contextlib.closing(
-        Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
-    ) as announcer:
+    announcer = Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
+    with contextlib.closing(announcer):
         announcer.start()
         announcer.announce("/a")
         eventually(lambda: topic.publish.done)
