@@ -59,8 +59,7 @@ def test_a_package_that_depends_on_dyknow_alone_and_the_skeleton(tmp_path):
     workspace = Workspace(tmp_path / "ws", upon=[ROOT / "build/ws/devel"])
     workspace.add_copy("my_nodelets", ROOT / "examples/skeleton")
     workspace.add_user("user", "dyknow")
-    workspace.make("run_tests")
-    workspace.make("install")
+    workspace.make("run_tests", "install")
     summary = workspace.run_in("devel", f"catkin_test_results {workspace.folder}/build")
     assert "2 tests, 0 errors, 0 failures" in summary
     for space in ("devel", "install"):
