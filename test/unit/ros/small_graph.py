@@ -37,22 +37,6 @@ class XmlRpc:
         self._server.server_close()
 
 
-def stop_master(master: Any) -> None:
-    """Stop a rosmaster of this process with its threads.
-
-    Its own ``stop`` closes the socket alone, and its thread goes on to accept for ever.
-    """
-    node = master.master_node
-    if node is None:
-        return
-    server, node.is_shutdown = node.server, True
-    ending = threading.Thread(target=server.shutdown)
-    ending.start()
-    socket.create_connection(server.server_address[:2]).close()  # it looks twice a second
-    ending.join()
-    master.stop()
-
-
 def _in_form(function):
     def answer(*arguments):
         value = function(*arguments)

@@ -22,12 +22,12 @@ from xmlrpc.client import Binary, dumps
 
 import pytest
 import rosmaster.master
-from clocks import PATIENCE, HandClock
+from clocks import PATIENCE, HandClock, in_thread, join
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
 from rosmaster.master_api import ROSMasterHandler
-from unit.ros.small_graph import SmallManager, close_all, stop_master
+from unit.ros.small_graph import SmallManager, close_all
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.manager import keeper as keeper_module
@@ -59,8 +59,14 @@ class Core:
         self._master.master_node.server.register_instance(handler)
 
     def stop(self) -> None:
+        """End with its threads: its own ``stop`` lets one of them accept for ever."""
         self._renewed.close()
-        stop_master(self._master)
+        node = self._master.master_node
+        node.is_shutdown = True
+        ending = in_thread(node.server.shutdown)
+        socket.create_connection(node.server.server_address[:2]).close()  # it looks twice a second
+        join(ending)
+        self._master.stop()
 
     def parameters(self) -> Any:
         return self.api.ask("getParam", "/")

@@ -65,7 +65,6 @@ class Topic:
         self.sockets += [here, there]
         connection = TCPROSTransport(TCPROSPub("/t", String), "/t")
         connection.set_socket(here, node)
-        connection.endpoint_id = node
         self.implementation.add_connection(connection)
         return there
 

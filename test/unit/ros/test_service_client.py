@@ -14,7 +14,7 @@ import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, List, Tuple
+from typing import Any, List
 from unittest import mock
 
 import pytest
@@ -244,9 +244,6 @@ def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(manager, m
 
 
 # Frames
-
-
-Link = Tuple[TcprosConnection, socket.socket]
 
 
 @pytest.fixture
