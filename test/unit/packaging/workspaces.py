@@ -70,9 +70,6 @@ class Workspace:
             if entry.name != "build" and not entry.name.startswith("."):
                 (package / entry.name).symlink_to(entry)
 
-    def link_messages(self) -> None:
-        (self.folder / "src" / "dyknow_msgs").symlink_to(Path("dyknow") / "dyknow_msgs")
-
     def add_user(self, name: str, *depends: str) -> None:
         """A package with a message, a program in C++ and one in Python that use dyknow_msgs."""
         package = self.folder / "src" / name
@@ -112,10 +109,6 @@ class Workspace:
     def run_in(self, space: str, command: str) -> str:
         """The output of a shell command in a space of the workspace; it must end with 0."""
         return self._run(["/bin/sh", "-c", f". {self.folder / space}/setup.sh; {command}"])
-
-    def test_results(self) -> str:
-        """The summary of the test results of its packages."""
-        return self._run(["catkin_test_results", str(self.folder / "build")])
 
     def _run(self, command: Sequence[str], must_succeed: bool = True) -> str:
         done = subprocess.run(

@@ -11,7 +11,7 @@ import socket
 import struct
 import threading
 from io import BytesIO
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Set
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph.network
@@ -35,22 +35,6 @@ class XmlRpc:
     def close(self):
         self._server.shutdown()
         self._server.server_close()
-
-
-def stop_master(master: Any) -> None:
-    """Stop a rosmaster of this process with its threads.
-
-    Its own ``stop`` closes the socket alone, and its thread goes on to accept for ever.
-    """
-    node = master.master_node
-    if node is None:
-        return
-    server, node.is_shutdown = node.server, True
-    ending = threading.Thread(target=server.shutdown)
-    ending.start()
-    socket.create_connection(server.server_address[:2]).close()  # it looks twice a second
-    ending.join()
-    master.stop()
 
 
 def _in_form(function):
@@ -97,9 +81,10 @@ class SmallMaster:
 
 
 class SmallManager:
-    """Answers polls, reports its process id, and ends on request.
+    """Answers polls and further ``functions``, reports its process id, and ends on request.
 
     Attributes:
+        living: all that have not been closed.
         kind: its kind if it is a re-wirable node; else empty.
         nodelets: names of its nodelets; of a node its own.
         requests: the polls that it answered.
@@ -109,9 +94,11 @@ class SmallManager:
         error: sent in the header of each connection for polls; empty: there is none.
     """
 
-    def __init__(self, kind=""):
+    living: Set[SmallManager] = set()
+
+    def __init__(self, kind="", nodelets=(), **functions):
         self.kind = kind
-        self.nodelets: List[str] = []
+        self.nodelets: List[str] = list(nodelets)
         self.requests: List[Any] = []
         self.pid = next(_pids)
         self.goes_on = threading.Event()
@@ -126,15 +113,18 @@ class SmallManager:
                 "getPid": lambda caller: self.goes_on.wait() and self.pid,
                 "shutdown": lambda caller, reason: self.ended.set() or 0,
                 "requestTopic": lambda caller, topic, kinds: ["TCPROS", *where],
+                **functions,
             }
         )
         self.uri = self._node.uri
         self.service = f"rosrpc://127.0.0.1:{where[1]}"
         self._open: List[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
+        self.living.add(self)
 
     def close(self):
         """End, as a process that is killed."""
+        self.living.remove(self)
         self.goes_on.set()
         self._node.close()
         self._listener.shutdown(socket.SHUT_RDWR)
@@ -187,11 +177,15 @@ class SmallManager:
 
 @contextlib.contextmanager
 def small_graph():
-    """A master, closed with all that registered."""
+    """A master, closed with all processes."""
     master = SmallMaster()
     try:
         yield master
     finally:
-        for node in master.nodes.values():
-            node.close()
+        close_all()
         master.close()
+
+
+def close_all():
+    for each in [*SmallManager.living]:
+        each.close()

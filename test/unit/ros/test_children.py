@@ -28,7 +28,6 @@ from dyknow.manager.host import Crash, HostReport, LoadRequest
 from dyknow.manager.store import Store
 from dyknow.manager.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind, State
-from dyknow.periodic import in_background
 from dyknow.ros.hosting import child_records, fixed_nodelets
 from dyknow.ros.hosting import children as children_module
 from dyknow.ros.hosting import host as host_module
@@ -124,8 +123,7 @@ def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monk
             children.ensure(NodeletKind.PYTHON, "")
         answers.append(str(error.value))
 
-    asking = in_background("asking", ensure)
-    join(asking)
+    join(in_thread(ensure))
     assert answers == ["nodelet manager '/dyknow_nodelet_manager': another node has that name"]
     launcher.is_living = lambda name: False
     wait_for(launcher.launched)
@@ -209,7 +207,6 @@ def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):
         graph.nodes["/dead"].close()
         free = {name: launcher.is_free(name) for name in (*graph.nodes, "/new")}
         assert free == {"/lives": False, "/away": False, "/dead": True, "/new": True}
-        del graph.nodes["/dead"]
 
 
 # Processes that come and go leave nothing with the manager
@@ -219,11 +216,9 @@ def test_a_name_is_free_if_no_process_may_bear_it(tmp_path, monkeypatch):
 def host():
     """A host with one node, whose process is gone."""
     with small_graph() as graph:
-        graph.nodes["/n"] = SmallManager("node")
-        graph.nodes["/n"].nodelets = ["/n"]
+        graph.nodes["/n"] = SmallManager("node", ["/n"])
         context = PeerContext(Master("/test", graph.uri))
-        registrar, launcher = cast(Any, SimpleNamespace()), cast(Any, SimpleNamespace())
-        host: Any = RosHost(context, Children(context, launcher, "/", Store()), registrar)
+        host: Any = RosHost(context, Children(context, mock.Mock(), "/", Store()), mock.Mock())
         host.graph = graph
         host.look_for_nodes(["/n"])
         yield host
@@ -300,8 +295,7 @@ def test_one_of_that_name_that_another_client_loads_later_is_left_alone(host, ca
 
 def test_one_of_that_name_in_another_process_is_left_alone(host, calls):
     elder = host.graph.nodes["/m"]
-    host.graph.nodes["/m"] = SmallManager()
-    host.graph.nodes["/m"].nodelets = ["/late"]
+    host.graph.nodes["/m"] = SmallManager(nodelets=["/late"])
     elder.close()
     with pytest.raises(HostError):
         host.list("/m")
@@ -314,17 +308,10 @@ def test_one_of_that_name_in_another_process_is_left_alone(host, calls):
 def test_an_older_state_never_replaces_a_newer_one(host, kind):
     """Or a nodelet would be unprotected, or a producer silent, until the next look."""
     has_read, may_go_on = threading.Event(), threading.Event()
-    context = host._context
-    nodelets = {"/n": ["/n"]}
-    producers = {"/topic": "/n"}
-    older, newer, hand_over, result = {
-        "guards": ({}, nodelets, host.hand_over, lambda: context.protected == nodelets),
-        "producers": (
-            ({}, []),
-            (producers, ["/n"]),
-            host.grant,
-            lambda: context.producers == producers,
-        ),
+    context, nodelets, producers = host._context, {"/n": ["/n"]}, {"/topic": "/n"}
+    hand_over, older, newer = {
+        "guards": (host.hand_over, {}, nodelets),
+        "producers": (host.grant, ({}, []), (producers, ["/n"])),
     }[kind]
 
     def slowly():
@@ -338,7 +325,8 @@ def test_an_older_state_never_replaces_a_newer_one(host, kind):
     second.join(0.2)  # it would be done, were it not for the other one
     may_go_on.set()
     join(first, second)
-    assert result()
+    handed = context.protected if kind == "guards" else context.producers
+    assert handed == (nodelets if kind == "guards" else producers)
 
 
 def test_fixed_nodelets_have_services_until_the_end(monkeypatch):
@@ -354,14 +342,9 @@ def test_fixed_nodelets_have_services_until_the_end(monkeypatch):
     records = [record, SimpleNamespace(is_fixed=False)]
     manager: Any = SimpleNamespace(graph=SimpleNamespace(all=lambda: records))
     fixed = FixedNodelets(manager)
-    for state, expected in (
-        (State.STARTING, set()),
-        (State.RUNNING, {"/n"}),
-        (State.LOST, {"/n"}),
-    ):
-        record.state = state
+    for record.state in (State.STARTING, State.RUNNING, State.LOST):
         fixed.follow()
-        assert offered == expected
+        assert offered == ({"/n"} if record.state is not State.STARTING else set())
     fixed.close()
     fixed.follow()
     assert offered == set()
@@ -390,11 +373,8 @@ def launched(tmp_path, monkeypatch):
 
     monkeypatch.setattr(launcher_module.os_process, "start", start)
     monkeypatch.setattr(launcher_module.rospkg, "get_log_dir", lambda: str(tmp_path))
-    master: Any = SimpleNamespace(
-        uri="http://here:1", caller="/test", ask=lambda *args: "", node=lambda name: ""
-    )
-    owner: Any = SimpleNamespace(path="lock")
-    launcher = Launcher(master, owner, 0.0, {})
+    master = mock.Mock(uri="http://here:1", caller="/test", node=lambda name: "")
+    launcher = Launcher(master, mock.Mock(path="lock"), 0.0, {})
 
     def end(record):
         written[f"{record.name[1:]}-output.log"].close()
@@ -407,6 +387,8 @@ def launched(tmp_path, monkeypatch):
 
 def test_outputs_of_the_last_processes_are_kept(launched, tmp_path):
     launcher, end = launched
+    (folder,) = tmp_path.iterdir()
+    folder.rmdir()  # as rosclean does
 
     def launch(name):
         record = ChildRecord(name, NodeletKind.PYTHON)
@@ -420,7 +402,6 @@ def test_outputs_of_the_last_processes_are_kept(launched, tmp_path):
             end(other)
         assert launcher.last_line("/again") == "it runs"
         end(again)
-    (folder,) = tmp_path.iterdir()
     left = sorted(each for each in os.listdir(folder) if each.endswith(".log"))
     assert "n3-output.log" in left, "it runs"
     assert "n29-output.log" in left
@@ -437,29 +418,18 @@ def test_outputs_are_bounded_in_all_and_those_of_an_earlier_life_go_first(
     earlier = folder / "earlier-output.log"
     earlier.write_bytes(bytes(60))
     os.utime(earlier, (1.0, 1.0))
+    (folder / "x-output.log").symlink_to("removed")  # just now, by another thread
     first, second = (ChildRecord(name, NodeletKind.PYTHON) for name in ("/first", "/second"))
     launcher.launch(first)
     end(first)
+    launcher._master.ask.assert_any_call("deleteParam", "/first/owner")
     assert earlier.exists()
     launcher.launch(second)
     (folder / "second-output.log").write_bytes(bytes(50))
     end(second)
     assert not earlier.exists()
-    assert {each.name for each in folder.glob("*.log")} == {
-        "first-output.log",
-        "second-output.log",
-    }
-
-
-def test_an_output_that_another_thread_removes_just_now_hinders_no_clean_up(launched, tmp_path):
-    launcher, end = launched
-    launcher._master.ask = mock.Mock()
-    (folder,) = tmp_path.iterdir()
-    (folder / "x-output.log").symlink_to("removed")
-    record = ChildRecord("/first", NodeletKind.PYTHON)
-    launcher.launch(record)
-    end(record)
-    launcher._master.ask.assert_any_call("deleteParam", "/first/owner")
+    left = {each.name for each in folder.glob("*.log")}
+    assert left == {"first-output.log", "second-output.log", "x-output.log"}
 
 
 def test_a_process_whose_watchdog_cannot_be_started_is_ended(launched, monkeypatch):
@@ -491,13 +461,3 @@ def test_lines_are_in_the_output_when_they_are_printed(launched, tmp_path, monke
         env={**os.environ, **environment},
     ):
         eventually(lambda: output.read_text() == "up\n")
-
-
-def test_after_rosclean_a_process_is_started_as_before(launched, tmp_path):
-    launcher, end = launched
-    (folder,) = tmp_path.iterdir()
-    folder.rmdir()
-    record = ChildRecord("/first", NodeletKind.PYTHON)
-    launcher.launch(record)
-    end(record)
-    assert launcher.last_line("/first") == "it runs"

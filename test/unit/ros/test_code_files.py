@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The files of nodelets' code: which they are, and how their changes are noticed."""
+"""Files of code: programs of packages, files of nodelets, and how changes are noticed."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from typing import Any
 
 import pytest
 from clocks import HandClock
+from roslib.packages import find_node
 
-from dyknow.errors import HostError
+from dyknow.errors import CannotRun, HostError
 from dyknow.model.transformation import Transformation
 from dyknow.ros.hosting.code_files import CodeFiles
+from dyknow.ros.process.programs import _packages, find_program, find_script
 
-MANIFEST = """<package format="2"><name>{name}</name><version>0.0.0</version><description/>
-<maintainer email="a@example.org">a</maintainer><license>BSD-3-Clause</license>
+MANIFEST = """<package format="2"><name>{name}</name><version>0.0.0</version>
+<description>d</description><maintainer email="a@example.org">a</maintainer><license>BSD</license>
 <export><dyknow plugin="${{prefix}}/nodelets.xml"/><nodelet plugin="${{prefix}}/cpp.xml"/></export>
 </package>"""
 PLUGINS = """<library path="src">
@@ -27,6 +29,14 @@ PLUGINS = """<library path="src">
 </library>"""
 CPP = """<library path="lib/lib{name}"><class name="{name}/cpp" type="a::B"
   base_class_type="nodelet::Nodelet"/></library>"""
+
+
+def write(file: Path, text: str) -> Path:
+    """Write a program or a module."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    file.chmod(0o755)
+    return file
 
 
 class Package:
@@ -42,14 +52,11 @@ class Package:
         self.write(f"src/{name}_apart.py", "VALUE = 1")
         self.write("scripts/run.py", "#!/usr/bin/env python3\nimport beside")
         self.write("scripts/beside.py", "")
-        (self.folder / "scripts/run.py").chmod(0o755)
         self.clock = HandClock()
         self.code = CodeFiles(self.clock.now)
 
     def write(self, path: str, text: str) -> None:
-        file = self.folder / path
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
+        write(self.folder / path, text)
 
     def nodelet(self, what: str = "One") -> Transformation:
         return Transformation("label", f"{self.name}/{what}")
@@ -138,3 +145,58 @@ def test_a_changed_file_is_checked(package: Package) -> None:
     package.write(f"src/{package.name}_helper.py", "VALUE = 2")
     package.clock.time += 0.5
     package.code.check(one)
+
+
+# Programs of packages are found as rosrun and roslaunch find them
+
+
+@pytest.fixture
+def workspace(tmp_path, monkeypatch):
+    """A devel space with the package `lonely`; writes programs into it, or below its source."""
+    source, devel = tmp_path / "src", tmp_path / "devel"
+    (source / "lonely").mkdir(parents=True)
+    (source / "lonely" / "package.xml").write_text(MANIFEST.format(name="lonely"))
+    devel.mkdir()
+    (devel / ".catkin").write_text(str(source))
+    monkeypatch.setenv("CMAKE_PREFIX_PATH", str(devel))
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(source))
+    _packages.cache_clear()
+    yield lambda name: write(tmp_path / name, "#!/usr/bin/env python3\n")
+    _packages.cache_clear()
+
+
+def test_the_relay_of_a_devel_space_stands_for_the_script_in_the_source(workspace):
+    script = workspace("src/lonely/scripts/talk")
+    assert find_program("lonely", "talk") == str(script)
+    relay = workspace("devel/lib/lonely/talk")
+    assert find_program("lonely", "talk") == str(relay) == find_node("lonely", "talk")[0]
+    assert find_script("lonely/talk") == str(relay)
+    workspace("src/lonely/more/talk")  # roslaunch does not mind
+    assert find_program("lonely", "talk") == str(relay)
+
+
+def test_a_path_below_the_package_is_that_program(workspace):
+    workspace("devel/lib/lonely/talk")
+    script = workspace("src/lonely/scripts/talk")
+    assert find_program("lonely", "scripts/talk") == str(script)
+    assert find_script("lonely/scripts/talk") == str(script)
+    script.chmod(0o644)
+    with pytest.raises(CannotRun, match="no program 'scripts/talk'"):
+        find_program("lonely", "scripts/talk")
+    workspace("elsewhere.py")
+    with pytest.raises(CannotRun, match="has no program"):
+        find_script("lonely/../../elsewhere.py")
+
+
+def test_refusals_name_the_programs_or_the_package(workspace):
+    with pytest.raises(CannotRun, match="has no program 'talk'"):
+        find_program("lonely", "talk")
+    with pytest.raises(CannotRun, match="no package 'lost'"):
+        find_program("lost", "talk")
+    first = workspace("src/lonely/a/talk")
+    assert find_program("lonely", "talk") == str(first), "it is found from now on"
+    second = workspace("src/lonely/b/talk")
+    with pytest.raises(CannotRun) as refused:
+        find_program("lonely", "talk")
+    for expected in (str(first), str(second), "expected one program, or its path below"):
+        assert expected in str(refused.value)

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from types import SimpleNamespace
 from typing import Any, List
+from unittest import mock
 
 import pytest
 from clocks import PATIENCE, HandClock, eventually, wait_for
@@ -44,8 +46,7 @@ def context(graph):
 
 @pytest.fixture
 def peer(graph):
-    graph.nodes[FAR] = SmallManager()
-    graph.nodes[FAR].nodelets = ["/b", "/a"]
+    graph.nodes[FAR] = SmallManager(nodelets=["/b", "/a"])
     peer = External(context(graph), FAR)
     peer.wake()
     eventually(lambda: peer.state.responsive)
@@ -79,8 +80,7 @@ def test_no_call_waits_for_one_that_was_never_seen():
 
 def test_those_with_nodelets_of_an_earlier_life_are_used_unless_they_are_gone(graph):
     graph.nodes.update({FAR: SmallManager(), "/gone": SmallManager()})
-    graph.nodes["/gone"].close()
-    graph.nodes["/gone"].close = lambda: None  # it stays registered
+    graph.nodes["/gone"].close()  # it stays registered
     externals = Externals(context(graph), ["/named"], lambda name: name == "/child")
     externals.use([FAR, "/gone", "/never_was", "/child", "/named"])
     assert [each.name for each in externals.all()] == [FAR, "/named"]
@@ -90,11 +90,9 @@ def test_those_with_nodelets_of_an_earlier_life_are_used_unless_they_are_gone(gr
 
 
 def test_late_nodelets_are_unloaded_though_the_unload_of_one_takes_long(graph, monkeypatch):
-    graph.nodes[FAR] = SmallManager()
-    graph.nodes[FAR].nodelets = ["/a", "/b", "/c"]
+    graph.nodes[FAR] = SmallManager(nodelets=["/a", "/b", "/c"])
     children: Any = SimpleNamespace(find=lambda name: None, all=list)
-    registrar: Any = SimpleNamespace()
-    host = RosHost(context(graph), children, registrar, [FAR])
+    host = RosHost(context(graph), children, mock.Mock(), [FAR])
     tries = []
 
     def unload(manager, name):
@@ -199,26 +197,20 @@ def test_one_that_lost_its_name_is_ended_once_it_can_be_reached(graph, peer, han
         with pytest.raises(HostTimeout):
             peer.nodelets()
     graph.nodes[FAR] = SmallManager()
-    try:
-        eventually(lambda: peer.state.responsive and not peer.nodelets())
-        assert elder.ended.is_set() <= (not hangs)
-        elder.goes_on.set()
-        wait_for(elder.ended)
-        assert not graph.nodes[FAR].ended.is_set()
-    finally:
-        elder.close()
+    eventually(lambda: peer.state.responsive and not peer.nodelets())
+    assert elder.ended.is_set() <= (not hangs)
+    elder.goes_on.set()
+    wait_for(elder.ended)
+    assert not graph.nodes[FAR].ended.is_set()
 
 
 def test_another_process_at_the_same_address_is_left_alone(graph, peer):
     elder, newcomer = graph.nodes[FAR], SmallManager()
     elder.pid += 1
     graph.nodes[FAR] = newcomer
-    try:
-        eventually(lambda: peer.state.incarnation.startswith(newcomer.uri))
-        eventually(lambda: not peer.displaced)
-        assert not elder.ended.is_set()
-    finally:
-        elder.close()
+    eventually(lambda: peer.state.incarnation.startswith(newcomer.uri))
+    eventually(lambda: not peer.displaced)
+    assert not elder.ended.is_set()
 
 
 def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(graph, peer):
@@ -230,18 +222,13 @@ def test_polls_renew_a_lease_that_was_granted_with_the_clock_of_the_last_answer(
     peer.wake()
     eventually(lambda: len([each for each in requests if each.duration]) > 2)
     assert (requests[-1].topics, requests[-1].nodelets) == (["/topic"], ["/a"])
-    assert {each.confirmed for each in requests if each.duration} == {1.0}
-    peer.release()
-    assert (requests[-1].topics, requests[-1].duration) == ([], DURATION)
-
-
-def test_polls_of_a_manager_that_ends_renew_a_lease_for_longer(graph, peer):
-    peer.context.producers = {"/topic": "/a"}
-    peer.lease.grant()
+    granted = {(each.confirmed, each.duration) for each in requests if each.duration}
+    assert granted == {(1.0, DURATION)}
     peer.lease.part()
     peer.wait(peer.wake(), time.monotonic() + PATIENCE)
-    last = graph.nodes[FAR].requests[-1]
-    assert (last.topics, last.duration) == (["/topic"], PARTING)
+    assert (requests[-1].topics, requests[-1].duration) == (["/topic"], PARTING)
+    peer.release()
+    assert (requests[-1].topics, requests[-1].duration) == ([], PARTING)
 
 
 def test_guards_are_handed_over_once_and_when_they_change(graph, peer):
@@ -294,9 +281,8 @@ def test_an_older_answer_never_replaces_a_newer_announcement(graph, peer):
 @pytest.fixture
 def nodes(graph, monkeypatch):
     monkeypatch.setattr(external, "_PATIENCE", 0.5)
-    graph.nodes[FAR] = SmallManager("cpp_node")
+    graph.nodes[FAR] = SmallManager("cpp_node", [FAR])
     nodes = Externals(context(graph))
-    graph.nodes[FAR].nodelets = [FAR]
     nodes.look_for([FAR])
     yield nodes
     nodes.close()
@@ -313,7 +299,6 @@ def test_a_node_that_ended_is_gone_at_once_and_forgotten_soon(graph, nodes):
     assert nodes.find(FAR) is None and not node.may_publish
     eventually(lambda: not nodes._externals)
     eventually(lambda: not node.loop.running)
-    del graph.nodes[FAR]
 
 
 def test_an_announcement_beats_the_end_of_looking_for_a_node(nodes):
@@ -360,34 +345,24 @@ def test_counts_are_those_of_the_process_that_bears_the_name_now(graph, nodes):
         return node.counts(node.ask_counts([FAR]), [FAR], deadline) == {FAR: None}
 
     assert is_counted()
-    elder = graph.nodes[FAR]
-    elder.goes_on.clear()
-    try:
-        with pytest.raises(HostTimeout):
-            node.nodelets()
-        graph.nodes[FAR] = SmallManager("node")
-        graph.nodes[FAR].nodelets = [FAR]
-        eventually(lambda: node.state.responsive)
-        eventually(is_counted)
-    finally:
-        elder.close()
+    graph.nodes[FAR].goes_on.clear()
+    with pytest.raises(HostTimeout):
+        node.nodelets()
+    graph.nodes[FAR] = SmallManager("node", [FAR])
+    eventually(lambda: node.state.responsive)
+    eventually(is_counted)
 
 
 def test_a_node_that_was_announced_too_early_or_is_none_is_not_shown(graph):
     changes: List[str] = []
     graph.nodes["/manager"] = SmallManager()
-    nodes = Externals(
-        PeerContext(Master("/test", graph.uri), on_change=lambda: changes.append("")),
-        is_child=lambda name: name == "/child",
-    )
-    try:
+    context = PeerContext(Master("/test", graph.uri), on_change=lambda: changes.append(""))
+    with contextlib.closing(Externals(context, is_child=lambda name: name == "/child")) as nodes:
         nodes._expect([FAR, "/manager", "/child"])
         assert sorted(nodes._externals) == [FAR, "/manager"]
         graph.nodes[FAR] = SmallManager("node")
         eventually(lambda: [each.name for each in nodes.all()] == [FAR])
         eventually(lambda: changes)
-    finally:
-        nodes.close()
 
 
 # Leases, by the time for which the manager has run

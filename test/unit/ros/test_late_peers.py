@@ -10,6 +10,7 @@ import socket
 import threading
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import pytest
 import rospy.core
@@ -17,7 +18,7 @@ import rospy.topics
 from clocks import PATIENCE as DEADLINE
 from rospy.impl import registration, tcpros, tcpros_pubsub
 from rospy.impl.tcpros_base import TCPROSTransport
-from rospy.topics import _PublisherImpl, _SubscriberImpl
+from rospy.topics import _SubscriberImpl
 from std_msgs.msg import Header
 
 from dyknow.errors import PeerTimeout
@@ -92,9 +93,8 @@ class Surroundings:
         self.connected = frozenset((ONE,))
         self.notified = []
         self.reminders = Reminders(self.register_again, lambda _: self.connected, lambda: self.now)
-        monkeypatch.setattr(
-            self.reminders._worker, "start", lambda: None
-        )  # the test has its rounds
+        # The test has its rounds.
+        monkeypatch.setattr(self.reminders._worker, "start", lambda: None)
 
     def register_again(self, topic, datatype):
         self.notified.append((topic, datatype))
@@ -169,51 +169,6 @@ def test_a_master_that_is_away_is_asked_again(around):
     assert around.wait(10.0) > 0
 
 
-@pytest.mark.parametrize("has_other", [True, False])
-def test_what_a_subscriber_missed_that_dies_while_it_connects_goes_to_no_other(has_other):
-    publisher = _PublisherImpl("/t", Header)
-    publisher.set_queue_size(100)
-    outbound = lambda connection, size: Outbound(connection, size, None)  # noqa: E731
-    handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), outbound)
-    handles.adopt(publisher)
-    handles.widen(100)
-
-    def connected(node):
-        connection = TCPROSTransport(tcpros_pubsub.TCPROSPub("/t", Header), "/t")
-        here, there = socket.socketpair()
-        connection.set_socket(here, node)
-        return connection, there
-
-    other, far = connected(ONE)
-    if has_other:
-        publisher.add_connection(other)
-    handles.expect({TWO})
-    for number in range(5):
-        handles.outwards(Header(frame_id=str(number)))
-        handles.backlog.keep(Header(frame_id=str(number)))
-    dying, gone = connected(TWO)
-    gone.close()
-    publisher.add_connection(dying)
-    assert dying.done
-    assert other.stat_num_msg == (5 if has_other else 0)
-    publisher.close()
-    other.close()
-    far.close()
-
-
-def test_a_publication_is_not_heard_by_a_subscriber_that_has_not_come_in_time():
-    handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), lambda *each: None)
-    handles.adopt(_PublisherImpl("/t", Header))
-    registrations: Any = [SimpleNamespace(heard=False, changed=None)]
-    handles.registrations, now = registrations, [100.0]
-    handles.backlog._clock = lambda: now[0]
-    handles.expect({ONE})
-    assert registrations[0].heard
-    now[0] += LONGEST
-    handles.backlog.keep(Header())
-    assert not registrations[0].heard
-
-
 # How long a port that is connected elsewhere waits for its new peers
 
 
@@ -235,23 +190,12 @@ class Graph:
         self.first_at = 3600.0
         self.dead: set[str] = set()
         self.late = LateSubscribers(lambda: self.now)
-        implementation = SimpleNamespace(
-            connections=[
-                SimpleNamespace(
-                    local_endpoint=("here", port), endpoint_id=uri, callerid_pub="/talker"
-                )
-                for port, uri in enumerate(self.served_at)
-            ]
-        )
-        nothing = lambda *arguments: None  # noqa: E731
-        publisher = SimpleNamespace(
-            connections=[],
-            latch=None,
-            queue_size=1,
-            c_lock=threading.RLock(),
-            **dict.fromkeys(("publish", "add_connection", "add_subscriber_listener"), nothing),
-            **dict.fromkeys(("acquire", "release"), nothing),
-        )
+        connections = [
+            SimpleNamespace(local_endpoint=("here", port), endpoint_id=uri, callerid_pub="/talker")
+            for port, uri in enumerate(self.served_at)
+        ]
+        implementation = SimpleNamespace(connections=connections)
+        publisher = mock.MagicMock(connections=[], latch=None, queue_size=1)
         rospy: Any = SimpleNamespace(
             Publisher=lambda *arguments, **options: SimpleNamespace(impl=publisher),
             Subscriber=lambda *arguments, **options: SimpleNamespace(impl=implementation),
@@ -315,15 +259,13 @@ def test_how_long_publishers_are_waited_for(graph: Graph, case: str, waits: floa
     assert graph.wait() == pytest.approx(waits, abs=0.01)
 
 
-def test_who_was_notified_is_expected_also_without_a_wait(graph: Graph) -> None:
-    assert graph.announce(patience=0.0) == {ONE, TWO}
-    assert graph.now == pytest.approx(0.0, abs=0.01)
-
-
-@pytest.mark.parametrize(("dead", "waits"), [({ONE, TWO}, 0.05), ({ONE}, PATIENCE)])
-def test_a_dead_subscriber_is_not_waited_for(graph: Graph, dead: set[str], waits: float) -> None:
+@pytest.mark.parametrize(
+    ("dead", "patience", "waits"),
+    [({ONE, TWO}, PATIENCE, 0.05), ({ONE}, PATIENCE, PATIENCE), (set(), 0.0, 0.0)],
+)
+def test_who_was_notified_is_expected_unless_it_is_dead(graph, dead, patience, waits):
     graph.dead = dead
-    assert graph.announce() == {ONE, TWO} - dead
+    assert graph.announce(patience) == {ONE, TWO} - dead
     assert graph.now == pytest.approx(waits, abs=0.01)
 
 
@@ -466,7 +408,7 @@ def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, monkey
             received += here[1].recv(1000)
         assert (b"early" in received) is is_new, "only the master says that it is to come"
         (taken,) = made.peers()
-        assert isinstance(taken, Outbound)
+        assert isinstance(taken, Outbound) and taken._queue_size == 3
         taken.close()
         assert not made.heard
     finally:

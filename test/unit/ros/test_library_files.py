@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 
 import pytest
+import rospy
 from clocks import HandClock
 from unit.manager.field import LIBRARY, Field, transformation
 
@@ -18,10 +19,12 @@ from dyknow.ros.manager import library_files
 from dyknow.ros.manager.library_files import LibraryFiles
 from dyknow.ros.manager.manager_settings import ManagerSettings
 
-ONTOLOGY = """
+PREFIXES = """
 @prefix : <http://x#> .
 @prefix owl: <http://www.w3.org/2002/07/owl#> .
 @prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+"""
+ONTOLOGY = f"""{PREFIXES}
 :Camera a owl:Class ; rdfs:label "Camera" .
 :Lens a owl:Class ; rdfs:label "Lens" .
 :left a :Camera ; rdfs:label "left" .
@@ -55,9 +58,7 @@ class Files:
         self.files = LibraryFiles(
             self.settings,
             self.store,
-            lambda: {
-                attribute: [*map(self.path, files)] for attribute, files in self.exports.items()
-            },
+            lambda: {key: [*map(self.path, files)] for key, files in self.exports.items()},
         )
 
     def path(self, name):
@@ -82,6 +83,11 @@ class Files:
     def labels(self):
         return [each.label for each in self.field.manager.library.all()]
 
+    @property
+    def views(self):
+        """The individuals that have a view."""
+        return [each[len("view of ") :] for each in self.labels if each.startswith("view of ")]
+
 
 def simple(*labels):
     made = (transformation(each, "soccer/Camera", "out image", "image T(x)") for each in labels)
@@ -91,6 +97,23 @@ def simple(*labels):
 @pytest.fixture
 def files(tmp_path):
     return Files(tmp_path, ["own.xml"])
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Of an ontology, and transformations of its individuals."""
+    lab = Files(tmp_path, ["own.xml", "views.xml"], ["lab.ttl"])
+    lab.write("own.xml", LIBRARY)
+    lab.write("views.xml", VIEWS)
+    lab.write("lab.ttl", ONTOLOGY)
+    return lab
+
+
+@pytest.fixture
+def logged(monkeypatch):
+    found = []
+    monkeypatch.setattr(rospy, "logerr", lambda text, *words: found.append(text % words))
+    return found
 
 
 def test_files_of_parameters_and_packages_are_followed(files):
@@ -128,6 +151,11 @@ def test_what_a_file_lost_while_no_manager_ran_goes_at_the_start(files):
     files.restart()
     files.look()
     assert files.labels == ["a", "by hand", "c"], "a file that cannot be read loses nothing"
+    files.settings = ManagerSettings()
+    for _ in range(2):
+        files.restart()
+        files.look()
+    assert files.labels == ["a", "by hand", "c"], "nor does one that no parameter names now"
 
 
 def test_what_a_package_had_that_was_removed_while_no_manager_ran_goes_at_the_start(files):
@@ -152,17 +180,6 @@ def test_what_a_package_had_that_was_removed_while_no_manager_ran_goes_at_the_st
     files.field.manager.add_transformation(simple("b"))
     files.look()
     assert files.labels == ["a", "b"]
-
-
-def test_what_a_parameter_named_once_stays(files):
-    files.write("own.xml", simple("a"))
-    files.begin()
-    (files.folder / "own.xml").unlink()
-    files.settings = ManagerSettings()
-    for _ in range(2):
-        files.restart()
-        files.look()
-    assert files.labels == ["a"]
 
 
 def test_a_label_that_a_file_loses_is_that_of_another_file(tmp_path):
@@ -270,86 +287,60 @@ def test_what_is_wrong_is_said_once_and_changes_nothing(files, logged):
     assert files.labels == ["e"]
 
 
-@pytest.fixture
-def logged(monkeypatch):
-    found = []
-    monkeypatch.setattr(
-        library_files.rospy, "logerr", lambda text, *words: found.append(text % words)
-    )
-    return found
-
-
-def test_an_individual_appears_and_claims_stay(tmp_path):
-    files = Files(tmp_path, ["own.xml", "views.xml"], ["lab.ttl"])
-    files.write("own.xml", LIBRARY)
-    files.write("views.xml", VIEWS)
-    files.write("lab.ttl", ONTOLOGY)
-    files.begin()
-    assert "view of left" in files.labels
-    field = files.field
+def test_an_individual_appears_and_claims_stay(lab):
+    lab.begin()
+    assert lab.views == ["left"]
+    field = lab.field
     claims = [field.acquire(), field.acquire("View(left)")]
     field.settle(2.0)
     before = sorted(field.host.running)
-    files.write("lab.ttl", ONTOLOGY + RIGHT)
-    files.look()
-    assert "view of right" in files.labels
+    lab.write("lab.ttl", ONTOLOGY + RIGHT)
+    lab.look()
+    assert lab.views == ["left", "right"]
     field.settle(2.0)
     assert sorted(field.host.running) == before
     assert {field.state(each.claim.claim_id) for each in claims} == {ClaimState.ACTIVE}
     for tag in ("View(right)", "View(?which:Camera)"):
         assert field.acquire(tag).claim.topic
     field.settle(2.0)
-    files.write("lab.ttl", ONTOLOGY)
-    files.look()
-    assert "view of right" not in files.labels
+    lab.write("lab.ttl", ONTOLOGY)
+    lab.look()
+    assert lab.views == ["left"]
 
 
-def test_types_of_variables_follow_the_ontology(tmp_path):
-    files = Files(tmp_path, ["own.xml"], ["lab.ttl"])
-    files.write("own.xml", simple("a").replace("T(x)", "View(left)"))
-    files.write("lab.ttl", ONTOLOGY)
-    files.begin()
-    field = files.field
+def test_types_of_variables_follow_the_ontology(lab):
+    lab.begin()
     with pytest.raises(Exception, match="Lens"):
-        field.acquire("View(?what:Lens)")
-    files.write("lab.ttl", ONTOLOGY + ":left a :Lens .\n")
-    files.look()
-    assert field.acquire("View(?what:Lens)").claim.topic
+        lab.field.acquire("View(?what:Lens)")
+    lab.write("lab.ttl", ONTOLOGY + ":left a :Lens .\n")
+    lab.look()
+    assert lab.field.acquire("View(?what:Lens)").claim.topic
 
 
-def test_an_ontology_that_becomes_wrong_is_not_used(tmp_path, logged):
-    files = Files(tmp_path, ["views.xml"], ["lab.ttl"])
-    files.write("views.xml", VIEWS)
-    files.write("lab.ttl", ONTOLOGY)
-    files.begin()
-    files.write("lab.ttl", ONTOLOGY + "nonsense")
+def test_an_ontology_that_becomes_wrong_is_not_used(lab, logged):
+    lab.begin()
+    lab.write("lab.ttl", ONTOLOGY + "nonsense")
     for _ in range(2):
-        files.look()
+        lab.look()
     assert len(logged) == 1
     assert "the ontology stays as it was" in logged[0]
-    assert files.labels == ["view of left"]
-    files.write("lab.ttl", ONTOLOGY + RIGHT)
-    files.look()
-    assert files.labels == ["view of left", "view of right"]
+    assert lab.views == ["left"]
+    lab.write("lab.ttl", ONTOLOGY + RIGHT)
+    lab.look()
+    assert lab.views == ["left", "right"]
 
 
-def test_at_the_start_a_wrong_ontology_of_a_parameter_is_an_error(tmp_path, logged):
-    files = Files(tmp_path, ["views.xml"], ["lab.ttl"])
-    files.write("views.xml", VIEWS)
-    files.write("lab.ttl", "nonsense")
+def test_at_the_start_a_wrong_ontology_of_a_parameter_is_an_error(lab, logged):
+    lab.write("lab.ttl", "nonsense")
     with pytest.raises(BadParameter, match="'~ontologies'.*is not valid turtle"):
-        files.begin()
-    files.write("lab.ttl", ONTOLOGY)
-    files.write("package.ttl", "nonsense")
-    files.exports["ontology"] = ["package.ttl"]
-    files.begin()
-    assert files.labels == ["view of left"]
+        lab.begin()
+    lab.write("lab.ttl", ONTOLOGY)
+    lab.write("package.ttl", "nonsense")
+    lab.exports["ontology"] = ["package.ttl"]
+    lab.begin()
+    assert lab.views == ["left"]
     assert len(logged) == 1
     assert "of packages are not used" in logged[0]
-    files.write(
-        "package.ttl",
-        "@prefix : <http://x#> .\n@prefix rdfs: "
-        "<http://www.w3.org/2000/01/rdf-schema#> .\n" + RIGHT,
-    )
-    files.look()
-    assert files.labels == ["view of left", "view of right"]
+    lab.write("package.ttl", PREFIXES + RIGHT)
+    lab.look()
+    assert lab.views == ["left", "right"]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Parameters of the manager that cannot be used or are not known, and the files of its state."""
+"""Parameters of the manager that cannot be used or are not known, and the files that they name."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from typing import Any, Dict, List
 
 import pytest
 import rospy
+from clocks import HandClock
 
 from dyknow.cli.node_help import MANAGER
-from dyknow.errors import BadParameter
+from dyknow.errors import BadParameter, DyKnowError, Problem, SpecificationError
+from dyknow.manager.store import Store
 from dyknow.ros.manager import manager_settings
+from dyknow.ros.manager.boot_wiring import BootWiring
 from dyknow.ros.manager.manager_settings import GROUPS, ManagerSettings, state_path
 
 
@@ -23,14 +26,8 @@ def given(monkeypatch):
     """The private parameters of the node."""
     found: Dict[str, Any] = {}
 
-    def get_param(name: str, default: Any) -> Any:
-        return found.get(name[1:], default)
-
-    def set_param(name: str, value: Any) -> None:
-        found[name[1:]] = value
-
-    monkeypatch.setattr(rospy, "get_param", get_param)
-    monkeypatch.setattr(rospy, "set_param", set_param)
+    monkeypatch.setattr(rospy, "get_param", lambda name, default: found.get(name[1:], default))
+    monkeypatch.setattr(rospy, "set_param", lambda name, value: found.update({name[1:]: value}))
     monkeypatch.setattr(rospy, "get_name", lambda: "/dyknow_manager")
     return found
 
@@ -38,9 +35,7 @@ def given(monkeypatch):
 @pytest.fixture
 def warned(monkeypatch):
     found: List[str] = []
-    monkeypatch.setattr(
-        manager_settings.rospy, "logwarn", lambda text, *words: found.append(text % words)
-    )
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *words: found.append(text % words))
     return found
 
 
@@ -136,11 +131,8 @@ def test_a_manager_makes_its_state_dir_absolute(given, tmp_path, monkeypatch):
     given["state_dir"] = ""
     assert ManagerSettings.read(given).state_dir == given["state_dir"] == ""
     given["state_dir"] = "~/state"
-    assert (
-        ManagerSettings.read(given).state_dir
-        == given["state_dir"]
-        == os.path.expanduser("~/state")
-    )
+    home = os.path.expanduser("~/state")
+    assert ManagerSettings.read(given).state_dir == given["state_dir"] == home
 
 
 def test_a_manager_makes_the_paths_of_its_files_absolute(given, tmp_path, monkeypatch):
@@ -156,3 +148,83 @@ def test_a_manager_makes_the_paths_of_its_files_absolute(given, tmp_path, monkey
     assert given["catalogues"] == "/c.xml", "as it was given"
     monkeypatch.chdir("/")
     assert ManagerSettings.read(given) == settings
+
+
+# The wiring of a start: when it is loaded, again, and not
+
+
+class Boot:
+    """A state, a file, and its loaded versions."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.store = Store(":memory:")
+        self.clock = HandClock()
+        self.loaded: List[bytes] = []
+        self.trouble = ""
+
+    def start(self) -> BootWiring:
+        return BootWiring(str(self.file), self.store, self.check, self.load, self.clock.now)
+
+    def check(self, data: bytes, file: str) -> None:
+        if data == b"wrong":
+            raise SpecificationError([Problem(file, 3, "expected <wiring>")])
+
+    def load(self, data: bytes, file: str) -> None:
+        if self.trouble:
+            raise DyKnowError(self.trouble)
+        self.loaded.append(data)
+
+
+@pytest.fixture
+def boot(tmp_path: Path) -> Boot:
+    file = tmp_path / "robot.xml"
+    file.write_bytes(b"one")
+    return Boot(file)
+
+
+def test_a_file_is_loaded_once_for_each_of_its_versions(boot):
+    wiring = BootWiring("", boot.store, boot.check, boot.load)
+    assert not wiring.is_due and wiring.work() is None, "no file is nothing to load"
+    for _ in range(2):
+        wiring = boot.start()
+        assert wiring.work() is None and wiring.work() is None
+    assert boot.loaded == [b"one"]
+    boot.file.write_bytes(b"two")
+    boot.start().work()
+    assert boot.loaded == [b"one", b"two"]
+    boot.start().forget()
+    boot.start().work()
+    assert boot.loaded == [b"one", b"two", b"two"]
+
+
+def test_what_cannot_be_loaded_now_is_tried_again(boot, caplog):
+    caplog.set_level("INFO", "rosout")
+    wiring = boot.start()
+    boot.trouble = "no camera"
+    pauses = []
+    for _ in range(4):
+        pause = wiring.work()
+        assert pause is not None
+        pauses.append(pause)
+        boot.clock.time += pause
+    assert pauses == sorted(pauses) and pauses[0] == 1.0 and pauses[-1] > 4.0
+    assert boot.start().is_due, "the next life tries it too"
+    boot.trouble = ""
+    assert wiring.work() is None
+    assert boot.loaded == [b"one"]
+    levels = [record.levelname for record in caplog.records]
+    assert levels == ["WARNING", "INFO"], "a boot that ends well has no error"
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_missing_or_wrong_file_is_refused_unless_one_was_loaded(boot, is_there):
+    words = "line 3|:3: expected <wiring>" if is_there else "No such file"
+    boot.file.write_bytes(b"wrong") if is_there else boot.file.unlink()
+    with pytest.raises(BadParameter, match=rf"~wiring.*robot.xml.*({words})"):
+        boot.start()
+    boot.file.write_bytes(b"one")
+    boot.start().work()
+    boot.file.write_bytes(b"wrong") if is_there else boot.file.unlink()
+    assert boot.start().work() is None
+    assert boot.loaded == [b"one"]

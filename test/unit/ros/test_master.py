@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import http.server
-import itertools
 import logging
 import os
 import socket
@@ -23,12 +22,12 @@ from xmlrpc.client import Binary, dumps
 
 import pytest
 import rosmaster.master
-from clocks import PATIENCE, HandClock
+from clocks import PATIENCE, HandClock, in_thread, join
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
 from rosmaster.master_api import ROSMasterHandler
-from unit.ros.small_graph import SmallManager, XmlRpc, stop_master
+from unit.ros.small_graph import SmallManager, close_all
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.manager import keeper as keeper_module
@@ -40,7 +39,6 @@ from dyknow.ros.wire.master import Master
 
 ME = "/dyknow_manager"
 TYPE = "std_msgs/Empty"
-_pids = itertools.count(5000)
 
 
 class Core:
@@ -61,8 +59,14 @@ class Core:
         self._master.master_node.server.register_instance(handler)
 
     def stop(self) -> None:
+        """End with its threads: its own ``stop`` lets one of them accept for ever."""
         self._renewed.close()
-        stop_master(self._master)
+        node = self._master.master_node
+        node.is_shutdown = True
+        ending = in_thread(node.server.shutdown)
+        socket.create_connection(node.server.server_address[:2]).close()  # it looks twice a second
+        join(ending)
+        self._master.stop()
 
     def parameters(self) -> Any:
         return self.api.ask("getParam", "/")
@@ -74,28 +78,24 @@ class Core:
         return [publishers, subscribers, services, addresses, dict(self.api.ask("getTopicTypes"))]
 
 
-class SmallNode:
-    """A node that registers once, as every node of ROS 1, and lists its topics."""
+class SmallNode(SmallManager):
+    """A node that registers once, as every node of ROS 1, and lists its topics.
+
+    Attributes:
+        heard: the notifications that came: topics with the addresses of their publishers.
+    """
 
     def __init__(self, core: Core, name: str) -> None:
-        self.name, self.pid = name, next(_pids)
+        super().__init__(
+            getPublications=lambda caller: self._listed(self.published),
+            getSubscriptions=lambda caller: self._listed(self.subscribed),
+            publisherUpdate=lambda caller, *heard: self.heard.append(heard) or 0,
+        )
+        self.name, self.lists_topics = name, True
         self.published: Dict[str, str] = {}
         self.subscribed: Dict[str, str] = {}
-        #: The notifications that came: topics with the addresses of their publishers.
         self.heard: List[Tuple[str, List[str]]] = []
-        self.goes_on = threading.Event()
-        self.goes_on.set()
-        self.lists_topics = True
         self._core = core
-        self._served = XmlRpc(
-            {
-                "getPid": lambda caller: self.goes_on.wait() and self.pid,
-                "getPublications": lambda caller: self._listed(self.published),
-                "getSubscriptions": lambda caller: self._listed(self.subscribed),
-                "publisherUpdate": lambda caller, *heard: self.heard.append(heard) or 0,
-            }
-        )
-        self.uri = self._served.uri
 
     def publish(self, topic: str, datatype: str = TYPE) -> None:
         self.published[topic] = datatype
@@ -108,10 +108,6 @@ class SmallNode:
     def offer(self, service: str, address: str) -> None:
         self._ask("registerService", service, address, self.uri)
 
-    def close(self) -> None:
-        self.goes_on.set()
-        self._served.close()
-
     def _listed(self, topics: Dict[str, str]) -> Any:
         return [[topic, topics[topic]] for topic in topics] if self.lists_topics else None
 
@@ -120,23 +116,16 @@ class SmallNode:
 
 
 class Graph:
-    """A master, the node of a DyKnow manager, and further nodes; all are closed together."""
+    """A master, and the node of a DyKnow manager; all nodes are closed with it."""
 
     def __init__(self, path: str) -> None:
         self.core = Core()
         self.path = path
-        self.nodes: List[Any] = []
         self.manager = self.node(ME)
         self.manager.publish("/rosout", "rosgraph_msgs/Log")
 
     def node(self, name: str) -> SmallNode:
-        self.nodes.append(SmallNode(self.core, name))
-        return self.nodes[-1]
-
-    def server(self) -> SmallManager:
-        """A process that answers connections to services."""
-        self.nodes.append(SmallManager())
-        return self.nodes[-1]
+        return SmallNode(self.core, name)
 
     def keeper(self) -> MasterKeeper:
         return MasterKeeper(Master(ME, self.core.uri), self.path)
@@ -146,8 +135,7 @@ class Graph:
             self.core.api.ask("setParam", f"/{name}", value)
 
     def close(self) -> None:
-        for each in self.nodes:
-            each.close()
+        close_all()
         self.core.stop()
 
 
@@ -165,7 +153,7 @@ def keeper(graph):
 
 
 def test_everything_is_registered_again(graph, keeper):
-    talker, listener, server = graph.node("/talker"), graph.node("/listener"), graph.server()
+    talker, listener, server = graph.node("/talker"), graph.node("/listener"), SmallManager()
     talker.publish("/words")
     talker.offer("/talker/ask", server.service)
     listener.subscribe("/words")
@@ -200,7 +188,7 @@ def test_a_look_at_the_same_master_changes_nothing(graph, keeper):
 
 def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, keeper, caplog):
     node, gone, replaced = (graph.node(f"/{name}") for name in ("node", "gone", "replaced"))
-    kept, dropped = graph.server(), graph.server()
+    kept, dropped = SmallManager(), SmallManager()
     gone.publish("/words")
     replaced.publish("/more")
     node.publish("/old")
@@ -215,7 +203,6 @@ def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, 
     del node.published[NODES_TOPIC]  # re-wirable programs do not list it
     dropped.error = "nonexistent service"
     gone.close()
-    graph.nodes.remove(gone)
     replaced.pid += 1  # another process has the port
     graph.core.renew()
     with caplog.at_level(logging.WARNING):
@@ -230,7 +217,7 @@ def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, 
 
 def test_a_node_with_a_fixed_port_that_was_killed_and_started_again_is_registered(graph, keeper):
     """The address of the node, and the registrations, are those of the process before."""
-    node, before, after = graph.node("/node"), graph.server(), graph.server()
+    node, before, after = graph.node("/node"), SmallManager(), SmallManager()
     node.publish("/words")
     for service in ("/ask", "/node/get_loggers"):
         node.offer(service, before.service)
@@ -250,9 +237,9 @@ def test_a_node_with_a_fixed_port_that_was_killed_and_started_again_is_registere
 
 def test_services_of_all_nodes_are_looked_up_in_turn(graph, keeper, monkeypatch):
     monkeypatch.setattr(keeper_module, "_IN_TURN", 2)
-    nodes, after = [graph.node(f"/node_{number}") for number in range(5)], graph.server()
+    nodes, after = [graph.node(f"/node_{number}") for number in range(5)], SmallManager()
     for node in nodes:
-        node.offer(f"{node.name}/get_loggers", graph.server().service)
+        node.offer(f"{node.name}/get_loggers", SmallManager().service)
     keeper.look()
     for node in nodes:
         node.offer(f"{node.name}/get_loggers", after.service)
@@ -283,7 +270,7 @@ def test_a_node_that_does_not_answer_gets_back_what_it_had(
 
 
 def test_what_the_new_master_has_is_newer(graph, keeper):
-    elder, server = graph.node("/node"), graph.server()
+    elder, server = graph.node("/node"), SmallManager()
     elder.publish("/words")
     elder.offer("/shared", server.service)
     graph.set(rate=5, robot={"name": "a", "mass": 1.0}, run_id="first")
@@ -309,15 +296,16 @@ def test_a_subscriber_hears_of_new_publishers_and_always_of_all(graph, keeper):
     keeper.look()
     del listener.heard[:]
     graph.core.renew()
-    graph.node("/new").publish("/words")  # it began while there was no master
+    new = graph.node("/new")
+    new.publish("/words")  # it began while there was no master
     keeper.look()
-    uris = {each.uri for each in graph.nodes if each.name in ("/known", "/new")}
-    assert [(topic, set(heard)) for topic, heard in listener.heard] == [("/words", uris)]
+    heard = [(topic, {*publishers}) for topic, publishers in listener.heard]
+    assert heard == [("/words", {known.uri, new.uri})]
 
 
 def test_the_manager_itself_comes_last(graph, keeper, monkeypatch):
     """Until then no part of it takes the lack of a registration for an end."""
-    server = graph.server()
+    server = SmallManager()
     for node in (graph.node("/a"), graph.manager, graph.node("/z")):
         node.publish(f"{node.name}/topic")
         node.offer(f"{node.name}/service", server.service)
@@ -344,16 +332,14 @@ def test_the_mirror_outlives_its_manager_unless_all_nodes_have_ended(graph, keep
     node = graph.node("/node" if lives else ME)
     node.publish("/words")
     node.subscribe("/words")
-    node.offer("/ask", graph.server().service)
+    node.offer("/ask", SmallManager().service)
     graph.set(run_id="first", rate=5, raw=Binary(b"\0\1"), tree={"é": [1, 2.5, True, "x"]})
     keeper.look()
     assert stat.S_IMODE(os.stat(graph.path).st_mode) == 0o600
     before = graph.core.state()
     graph.manager.close()
-    graph.nodes.remove(graph.manager)
     if not lives:
         node.close()
-        graph.nodes.remove(node)
     graph.core.renew()
     graph.set(run_id="second")
     graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
@@ -455,9 +441,8 @@ def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     node = Master("/node", uri)
     node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
     node.ask("registerPublisher", "/top", "std_msgs/Header", URI)
-    assert node.datatype("/space/topic") == "std_msgs/Empty"
-    assert node.datatype("/top") == "std_msgs/Header"
-    assert node.datatype("/space/other") == ""
+    topics = ("/space/topic", "/top", "/space/other")
+    assert [*map(node.datatype, topics)] == ["std_msgs/Empty", "std_msgs/Header", ""]
     node.ask("unregisterPublisher", "/space/topic", URI)
     assert node.datatype("/space/topic") == ""
 
@@ -466,12 +451,10 @@ def test_registrations_are_listed_for_topics_alone_that_are_registered(uri, monk
     """Where there are 600 nodelets a spawn took twice as long with it."""
     node, asked = Master("/node", uri), []
     monkeypatch.setattr(node, "subscribers", lambda topic: asked.append(topic) or ())
-    node.ask("registerSubscriber", "/left", "std_msgs/Empty", URI)
+    for topic in ("/left", "/heard"):
+        node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
     node.ask("unregisterSubscriber", "/left", URI)
-    for topic in ("/new", "/left", "/heard", "/hea", "heard"):
-        if topic == "/heard":
-            node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
-        assert node.datatype(topic) == ""
+    assert [*map(node.datatype, ("/new", "/left", "/heard", "/hea", "heard"))] == [""] * 5
     assert asked == ["/heard"]
 
 

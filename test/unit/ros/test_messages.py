@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Values that are sent as messages arrive unchanged.
-
-No field of the values here has its default, so each of them has to be converted.
-"""
+"""Values and texts that are sent as messages."""
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from io import BytesIO
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import rospy
@@ -18,8 +18,9 @@ from dyknow_msgs import srv
 from dyknow_msgs.msg import Counts
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
+from unit.proxy.bench import Bench
 
-from dyknow.errors import BadParameter, Result, StreamRefused
+from dyknow.errors import BadParameter, LoadFailed, Result, StreamRefused
 from dyknow.model.graph import Model, NodeletKind, NodeletStatus, PortState, SpawnRequest, State
 from dyknow.model.statistics import (
     NodeletCount,
@@ -37,6 +38,10 @@ from dyknow.model.streams import (
     StreamStatus,
 )
 from dyknow.model.transformation import IN, NODE, OUT, Parameter, Port, Transformation
+from dyknow.nodelet.texts import LONGEST, sendable
+from dyknow.ros.nodelets import nodelet_manager
+from dyknow.ros.nodelets.nodelet_log import NodeletLog
+from dyknow.ros.transport.middleware import RospyServices
 from dyknow.ros.wire import messages
 from dyknow.ros.wire.model_messages import ModelMessages
 
@@ -189,3 +194,77 @@ def test_a_model_on_its_topic_in_the_answer_and_changed():
     changed = Model(8, 4, (replace(NODELET, is_protected=False),), (RELAY._replace(cost=0),))
     answer = sent(kept.response(changed), GetModelResponse).model
     assert messages.model_from(answer) == changed
+
+
+# Texts of errors, with characters or lengths that no message can have
+
+
+HALF = "unknown command \ud83d"
+
+
+def encoded(error: BaseException) -> str:
+    """The text of an error, by way of rospy's encoding of it."""
+    return bytes(str(error), "utf-8").decode()
+
+
+def test_a_text_is_sendable() -> None:
+    assert sendable(ValueError("5 °C")) == "5 °C"
+    assert sendable(HALF) == "unknown command ?"
+    assert sendable("x" * LONGEST) == "x" * LONGEST
+    assert sendable("x" * 5_000_000) == "x" * (LONGEST - 1) + "…"
+
+
+@pytest.mark.parametrize("text", [HALF, "x" * 5_000_000], ids=["half", "long"])
+def test_an_error_of_a_callback_can_be_polled(text: str) -> None:
+    bench = Bench()
+    bench.context.failed("'in'", ValueError(text))
+    buffer = BytesIO()
+    messages.counts_message("/n", bench.proxy.get_statistics(), 0.0).serialize(buffer)
+    assert buffer.tell() < 3 * LONGEST
+
+
+def test_a_load_that_fails_answers() -> None:
+    error = LoadFailed("/n", "pack/Nodelet", ValueError(HALF))
+    assert "unknown command ?" in encoded(nodelet_manager._failed("Failed to load", "/n", error))
+
+
+@pytest.mark.parametrize(
+    "raised, expected",
+    [
+        (ValueError(HALF), "ValueError: unknown command ?"),
+        (rospy.ServiceException(HALF), "unknown command ?"),
+        (ValueError("5 °C"), "5 °C"),
+    ],
+)
+def test_a_handler_that_raises_answers(monkeypatch: Any, raised: Exception, expected: str) -> None:
+    offered: list[Any] = []
+    monkeypatch.setattr(rospy, "Service", lambda *args, **options: offered.append(args[2]))
+
+    def handler(request: Any) -> Any:
+        raise raised
+
+    RospyServices().offer("/n/act", object, handler, {})
+    with pytest.raises(Exception, match="") as caught:
+        offered[0](None)
+    assert encoded(caught.value) == expected
+    is_service_error = isinstance(raised, rospy.ServiceException)
+    assert isinstance(caught.value, rospy.ServiceException) is is_service_error
+    assert raised in (caught.value, caught.value.__cause__)
+
+
+def test_a_line_of_the_log() -> None:
+    line = logging.makeLogRecord({"msg": "raised %s", "args": (HALF,)})
+    assert NodeletLog(lambda name: None).format(line) == "raised unknown command ?"
+
+
+def test_an_error_of_a_callback_is_logged_in_the_name_of_its_nodelet(caplog, monkeypatch):
+    lines = []
+    publisher = SimpleNamespace(publish=lines.append)
+    monkeypatch.setattr(rospy.impl.rosout, "_rosout_pub", publisher)
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    context = Bench().context
+    context.failed("'in'", ValueError(HALF))
+    assert "unknown command ?" in caplog.text
+    topics = {context.name: ["/in"]}
+    NodeletLog(topics.get).emit(caplog.records[-1])
+    assert [(line.name, line.topics) for line in lines] == [(context.name, ["/in"])]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Processes by id and start time, their owner's lock, and those that end with their owner."""
+"""Processes by id and start time, and those that end with their owner or without their name."""
 
 from __future__ import annotations
 
@@ -19,34 +19,43 @@ from types import SimpleNamespace
 import psutil
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
+from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import StoreError
 from dyknow.model.graph import NodeletKind
 from dyknow.ros.hosting import child_records
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets import owner as owner_module
+from dyknow.ros.nodelets import peer_services
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
+from dyknow.ros.nodelets.peer_services import end_when_displaced
 from dyknow.ros.process import os_process, owned
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.process.owned import Processes, ProcessFailed
 
-SLEEP = (sys.executable, "-c", "import time; print('up', flush=True); time.sleep(1000)")
-STUBBORN = (
-    sys.executable,
-    "-c",
-    "import signal, time; [signal.signal(each, signal.SIG_IGN) for each in (2, 15)]\n"
-    "print('up', flush=True); time.sleep(1000)",
-)
-EXITS = (sys.executable, "-c", "import os; os._exit(3)")
-FORKS = (
-    sys.executable,
-    "-c",
-    "import os, signal, sys, time\n"
-    "pid = os.fork()\n"
-    "if not pid and 'stubborn' in sys.argv: signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-    "if not pid: print('up', os.getpid(), flush=True)\n"
-    "time.sleep(1000)",
-)
+
+def python(code):
+    return (sys.executable, "-c", code)
+
+
+SLEEP = python("import time; print('up', flush=True); time.sleep(1000)")
+EXITS = python("import os; os._exit(3)")
+STUBBORN = python("""
+import signal, time
+for each in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(each, signal.SIG_IGN)
+print("up", flush=True)
+time.sleep(1000)
+""")
+FORKS = python("""
+import os, signal, sys, time
+pid = os.fork()
+if not pid and "stubborn" in sys.argv:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+if not pid:
+    print("up", os.getpid(), flush=True)
+time.sleep(1000)
+""")
 #: Sends SIGTERM to its forked process first, then to itself.
 HANDLES = """
 import os, queue, signal, threading, time
@@ -108,8 +117,7 @@ def test_what_a_child_forked_ends_with_it(tmp_path, stubborn, monkeypatch):
 
 
 def test_a_forked_process_has_signals_of_its_own():
-    command = [sys.executable, "-c", HANDLES]
-    process = subprocess.run(command, timeout=PATIENCE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.run(python(HANDLES), timeout=PATIENCE, stdout=subprocess.PIPE, text=True)
     assert process.stdout == f"forked: {-signal.SIGTERM}\nto end\n"
 
 
@@ -242,30 +250,61 @@ def test_an_output_is_locked_while_its_process_runs(tmp_path):
 # Processes that end with their owner, which learns how one has ended
 
 
-def is_up(processes: Processes, number: int) -> bool:
-    return processes.output(number).startswith("up")
-
-
-def test_all_end_with_their_owner_however_stubborn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_end_with_their_owner_however_stubborn(monkeypatch):
     monkeypatch.setattr(owned, "END_TIMEOUT", 0.2)
     with Processes("test") as processes:
         for number in range(2):
-            processes.start("it", [*STUBBORN], ready=lambda: is_up(processes, number))  # noqa: B023
+            is_up = lambda n=number: processes.output(n).startswith("up")  # noqa: E731
+            processes.start("it", [*STUBBORN], ready=is_up)
         pids, folder = [each.pid for each in processes.started], processes.folder
         processes.check()
     assert not [pid for pid in pids if psutil.pid_exists(pid)]
     assert not Path(folder).exists()
 
 
-def test_one_that_ends_or_is_not_ready_is_named_with_its_output(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_one_that_ends_or_is_not_ready_is_named_with_its_output(monkeypatch):
     monkeypatch.setattr(owned, "START_TIMEOUT", 0.2)
     with Processes("test") as processes:
         with pytest.raises(ProcessFailed, match=r"late was not ready .* printed:\n\(nothing\)"):
             processes.start("late", ["sleep", "1000"], ready=lambda: False)
-        processes.start("brief", [sys.executable, "-c", "print('why'); raise SystemExit(3)"])
+        processes.start("brief", [*python("print('why'); raise SystemExit(3)")])
         with pytest.raises(ProcessFailed, match=r"(?s)brief ended with exit code 3; .*why"):
             while True:
                 processes.check(0.01)
                 time.sleep(0.01)
+
+
+# A node that lost its name to another one ends, however late it learns of it
+
+
+@pytest.fixture(name="graph")
+def _graph(monkeypatch):
+    monkeypatch.setattr(peer_services, "NAME_PERIOD", 0.05)
+    with small_graph() as graph:
+        monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
+        yield graph
+
+
+def goes_on(reasons, seconds=0.2):
+    with pytest.raises(queue.Empty):
+        reasons.get(timeout=seconds)
+    return True
+
+
+def test_it_ends_when_another_node_has_its_name_and_not_before(graph):
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons = queue.Queue()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    assert goes_on(reasons)
+    del graph.nodes["/twin"]  # a new master has no registrations
+    assert goes_on(reasons)
+    graph.nodes["/twin"] = SmallManager()
+    assert "another node bears the name /twin" in reasons.get(timeout=PATIENCE)
+
+
+def test_a_node_goes_on_while_the_master_is_away(graph):
+    graph.nodes["/twin"] = elder = SmallManager()
+    reasons = queue.Queue()
+    graph.close()
+    end_when_displaced("/twin", elder.uri, reasons.put)
+    assert goes_on(reasons, 0.3)

@@ -10,7 +10,7 @@ import socket
 import struct
 import weakref
 from types import SimpleNamespace
-from typing import Any, Callable, Iterator
+from typing import Any, Iterator
 
 import pytest
 import rospy.topics
@@ -23,8 +23,8 @@ from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.ros.transport import intraprocess, topics
 from dyknow.ros.transport.intraprocess import OrdinaryHandles
-from dyknow.ros.transport.late_subscribers import LateSubscribers
-from dyknow.ros.transport.outbound import Outbound, wider
+from dyknow.ros.transport.late_subscribers import LONGEST, LateSubscribers
+from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.topics import RospyPublisher
 
 #: Far more than sockets hold together.
@@ -37,41 +37,34 @@ class Topic:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.implementation = rospy.topics._PublisherImpl("/t", String)
         self.executor = ManualExecutor()
-        self.handles = OrdinaryHandles(
-            "/t",
-            "http://here",
-            str,
-            self.executor,
-            lambda each, size: Outbound(each, size, None),
-        )
+        outbound = lambda each, size: Outbound(each, size, None)  # noqa: E731
+        self.handles = OrdinaryHandles("/t", "http://here", str, self.executor, outbound)
         self.sockets: list[socket.socket] = []
         self.notified: frozenset[str] = frozenset()
-        self.on_register: Callable[[], Any] = list
         fake: Any = SimpleNamespace(Publisher=self._registered, resolve_name=str)
         monkeypatch.setattr(topics, "rospy", fake)
 
     def _registered(self, *arguments: Any, queue_size: int, **options: Any) -> Any:
-        self.on_register()
         self.implementation.set_queue_size(queue_size)
         self.implementation.is_latch |= options["latch"]
         return SimpleNamespace(impl=self.implementation)
 
     def advertise(self, queue_size: int, latch: bool = False) -> RospyPublisher:
         intraprocess: Any = SimpleNamespace(publishing=lambda topic: self.handles)
-        registrar: Any = SimpleNamespace(
-            subscribers=lambda topic: self.notified, late=LateSubscribers()
-        )
+        subscribers = lambda topic: self.notified  # noqa: E731
+        registrar: Any = SimpleNamespace(subscribers=subscribers, late=LateSubscribers())
         memory: Any = SimpleNamespace(publish=lambda *arguments: False)
         return RospyPublisher(intraprocess, memory, registrar, "/t", String, latch, queue_size, {})
 
-    def subscribe(self, node: str = "/recorder") -> socket.socket:
-        """Let a process subscribe; returns its socket."""
+    def subscribe(self, node: str = "/recorder", is_gone: bool = False) -> socket.socket:
+        """Let a process subscribe, which may have ended just now; returns its socket."""
         here, there = socket.socketpair()
         there.settimeout(PATIENCE)
+        if is_gone:
+            there.close()
         self.sockets += [here, there]
         connection = TCPROSTransport(TCPROSPub("/t", String), "/t")
         connection.set_socket(here, node)
-        connection.endpoint_id = node
         self.implementation.add_connection(connection)
         return there
 
@@ -152,16 +145,6 @@ def test_a_publication_that_comes_while_a_subscriber_connects(topic):
     assert topic.sizes() == [7, 7]
 
 
-def test_a_subscriber_that_connects_during_the_registration_has_a_queue_too(topic):
-    topic.on_register = topic.subscribe
-    publisher = topic.advertise(7)
-    (connection,) = topic.implementation.connections
-    assert isinstance(connection, Outbound)
-    assert topic.sizes() == [7]
-    connection.close()
-    assert not publisher.heard
-
-
 def test_a_subscriber_that_can_be_seen_is_heard(topic):
     """Even if dead subscribers are forgotten at the moment in which it connects."""
     publisher = topic.advertise(1)
@@ -194,8 +177,29 @@ def test_a_subscriber_whose_connection_fails_is_not_heard(topic):
     assert not publisher.heard
 
 
-def test_the_larger_size_of_two():
-    assert [wider(1, 2), wider(2, 1), wider(0, 1), wider(1, 0), wider(0, 0)] == [2, 2, 0, 0, 0]
+@pytest.mark.parametrize("has_other", [True, False])
+def test_what_a_subscriber_missed_that_dies_while_it_connects_goes_to_no_other(topic, has_other):
+    publisher = topic.advertise(100)
+    others = [topic.subscribe("/other")] if has_other else []
+    topic.handles.expect({"/late"})
+    publish(publisher)
+    topic.subscribe("/late", is_gone=True)
+    assert len(topic.implementation.connections) == len(others)
+    for there in others:
+        assert received(there) == list(range(COUNT))
+        there.settimeout(0.0)
+        with pytest.raises(BlockingIOError):
+            there.recv(1)
+
+
+def test_a_publication_is_not_heard_by_a_subscriber_that_has_not_come_in_time(topic):
+    publisher, now = topic.advertise(1), [100.0]
+    topic.handles.backlog._clock = lambda: now[0]
+    topic.handles.expect({"/late"})
+    assert publisher.heard
+    now[0] += LONGEST
+    topic.handles.backlog.keep(String())
+    assert not publisher.heard
 
 
 # Ordinary subscribers in the process itself
@@ -220,17 +224,12 @@ def deliver(topic: Topic, *texts: str) -> None:
     [(2, 3, "gh"), (4, 3, "efgh"), (None, 6, "cdefgh"), (None, 3, "defgh"), (None, 0, "abcdefgh")],
 )
 def test_an_ordinary_subscriber_keeps_the_newest_messages_of_its_queue(
-    topic: Topic,
-    subscriber: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    own: int | None,
-    published: int,
-    kept: str,
-) -> None:
+    topic, subscriber, monkeypatch, own, published, kept
+):
     monkeypatch.setattr(intraprocess, "_IN_SOCKETS", 5)
     topic.handles.widen(published)
     subscriber.set_queue_size(own)
-    received: list[tuple[str, str]] = []
+    received = []
     for name in ("one", "other"):
         subscriber.add_callback(lambda message, name: received.append((name, message.data)), name)
     deliver(topic, *"abcdefgh")
@@ -244,10 +243,8 @@ def test_an_ordinary_subscriber_keeps_the_newest_messages_of_its_queue(
     assert received == [("one", "i"), ("other", "i")]
 
 
-def test_a_callback_is_not_called_any_more_once_it_is_removed(
-    topic: Topic, subscriber: Any
-) -> None:
-    received: list[str] = []
+def test_a_callback_is_not_called_any_more_once_it_is_removed(topic, subscriber):
+    received = []
     callbacks = [lambda message: received.append(message.data) for _ in range(2)]
     for callback in callbacks:
         subscriber.add_callback(callback, None)
@@ -266,19 +263,15 @@ def test_a_callback_is_not_called_any_more_once_it_is_removed(
     assert received == ["a", "a", "b"]
 
 
-def test_an_ordinary_subscriber_gets_the_latched_message_once(
-    topic: Topic, subscriber: Any
-) -> None:
-    received: list[str] = []
+def test_an_ordinary_subscriber_gets_the_latched_message_once(topic, subscriber):
+    received = []
     topic.handles.latch(object(), String("latched"))
     subscriber.add_callback(lambda message: received.append(message.data), None)
     topic.executor.drain()
     assert received == ["latched"]
 
 
-def test_no_subscriber_gets_the_latched_message_of_a_publication_that_is_fenced(
-    topic: Topic, subscriber: Any
-) -> None:
+def test_no_subscriber_gets_the_latched_message_of_a_fenced_publication(topic, subscriber):
     transport: Any = SimpleNamespace(build=None, converter=lambda datatype: None, sample_of=None)
     publication = Publication(String, True, 1, transport, float, KeyError, {}, "/n")
     is_allowed = [True]

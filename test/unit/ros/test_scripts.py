@@ -1,61 +1,32 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Scripts in a shared nodelet manager end, fail and write to the log as in their own process."""
+"""Scripts in a shared nodelet manager end, fail, log and have ports as in their own process."""
 
 from __future__ import annotations
 
+import gc
 import logging
-import sys
 import threading
+import weakref
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import rospy
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
-from unit.nodelet.fakes import World
+from rospy import SubscribeListener
+from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, numbers
 
-from dyknow.errors import LoadFailed
-from dyknow.nodelet.context import Runtime
-from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.local import LocalMiddleware
-from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
+from dyknow.errors import InvalidConfiguration, LoadFailed, PortConflict
+from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.proxy.handle import NodeHandle
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts import script as script_module
 from dyknow.ros.scripts.rospy_view import rospy_views
 from dyknow.ros.scripts.sandbox import Sandbox
-from dyknow.ros.scripts.script import ScriptNodelet
+from dyknow.ros.scripts.script_ports import ScriptHandle, ScriptProxy
 from dyknow.ros.transport.node import RospyNode
-
-
-class Scripts:
-    """Loads scripts, which share ``script_witness`` with the test."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.witness = SimpleNamespace(go_on=threading.Event(), ended=threading.Event())
-        self.runtime = Runtime(LocalMiddleware(), ManualExecutor(), blocking=WorkerPool(None))
-        self.loader = Loader(self.runtime, lambda type_name, context: ScriptNodelet)
-
-    def load(self, text, name="/script", word=""):
-        file = self.folder / "script.py"
-        begin = "import rospy, script_witness\nrospy.init_node('script')\n"
-        file.write_text(f"#!/usr/bin/env python3\n{begin}{text}\n")
-        self.loader.load(name, "script", {}, [word or str(file)])
-
-    def is_gone(self):
-        eventually(lambda: self.loader.list() == [])
-
-
-@pytest.fixture(name="scripts")
-def _scripts(tmp_path, monkeypatch):
-    scripts = Scripts(tmp_path)
-    monkeypatch.setitem(sys.modules, "script_witness", scripts.witness)
-    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    yield scripts
-    scripts.witness.go_on.set()
-    scripts.runtime.close()
 
 
 class TestTheEnd:
@@ -103,6 +74,10 @@ tick(5)
             scripts.witness.go_on.set()
             scripts.is_gone()
         assert "ValueError: no camera" in caplog.text
+
+    def test_a_script_that_shuts_down_during_its_load_is_loaded_and_then_gone(self, scripts):
+        scripts.load("rospy.signal_shutdown('enough')\nscript_witness.go_on.wait(0.5)")
+        scripts.is_gone()
 
     def test_a_hook_may_join_a_thread_that_asks_for_the_end_too(self):
         sandbox, ended = Sandbox("/sandbox"), []
@@ -220,3 +195,215 @@ def test_each_instance_has_its_own_log_of_what_was_said_once(caplog, monkeypatch
         for name in "ab"
         for text in ("no calibration", "no lens")
     ]
+
+
+# Scripts are freed without garbage collection
+
+
+BLOCK = """
+import threading
+from std_msgs.msg import Header
+from std_srvs.srv import Empty
+block = set()
+script_witness.refer(block)
+"""
+SCRIPTS = {
+    "global": "rospy.spin()",
+    "object with a callback": """
+class Node:
+    def __init__(self):
+        self.block = block
+        self.sub = rospy.Subscriber("in", Header, self.receive)
+        self.service = rospy.Service("service", Empty, self.receive)
+        self.timer = rospy.Timer(rospy.Duration(0.01), self.receive)
+        rospy.on_shutdown(self.end)
+    def receive(self, message):
+        pass
+    def end(self):
+        pass
+def main():
+    node = Node()
+    rospy.spin()
+main()
+""",
+    "thread": """
+def work():
+    mine = block
+    while not rospy.is_shutdown():
+        rospy.sleep(0.01)
+threading.Thread(target=work).start()
+""",
+    "callback in a list": """
+received = []
+def receive(message, more):
+    received.append(message)
+sub = rospy.Subscriber("in", Header, receive, callback_args=received)
+rospy.spin()
+""",
+}
+LATE = """
+def work():
+    script_witness.go_on.wait()
+    script_witness.found = block is not None
+threading.Thread(target=work).start()
+rospy.spin()
+"""
+
+
+@pytest.fixture
+def block(scripts):
+    """Refers weakly to the `block` of the script that was loaded last."""
+    blocks = []
+    scripts.witness.refer = lambda block: blocks.append(weakref.ref(block))
+    gc.collect()
+    gc.disable()
+    yield lambda: blocks[-1]()
+    gc.enable()
+
+
+@pytest.mark.parametrize("kind", SCRIPTS)
+def test_an_unload_frees_a_script_and_so_does_its_failure(scripts, block, kind):
+    scripts.load(BLOCK + SCRIPTS[kind])
+    assert block() is not None
+    scripts.unload()
+    eventually(lambda: block() is None)
+    with pytest.raises(LoadFailed):
+        scripts.load(BLOCK + "raise RuntimeError('injected')")
+    eventually(lambda: block() is None)
+
+
+def test_a_thread_that_does_not_end_keeps_its_modules(scripts, block):
+    scripts.load(BLOCK + LATE)
+    scripts.unload()
+    assert block() is not None
+    scripts.witness.go_on.set()
+    eventually(lambda: getattr(scripts.witness, "found", False))
+
+
+# Ports of scripts that make their subscribers late
+
+
+class Script:
+    """A script whose load names the topic `image`."""
+
+    def __init__(self, **others):
+        self.world = World()
+        remappings = {"/robot/image": "/robot/script/disconnected/image", **others}
+        context = self.world.context("/robot/script", remappings=remappings)
+        self.handle = ScriptHandle(PlainNodeHandle(context, "/robot"))
+        self.proxy = ScriptProxy.of(context)
+        self.handle.Publisher("out", Message)
+
+    def ports(self):
+        return {port.name: (port.datatype, port.topic) for port in self.proxy.get_config()}
+
+
+@pytest.fixture(name="script")
+def _script():
+    return Script()
+
+
+def test_a_port_to_come_is_connected_when_it_comes(script):
+    assert script.ports() == {"out": ("test/Message", "/robot/out")}
+    script.proxy.set_config([("image", "/cam")])
+    assert script.ports()["image"] == ("", "/cam")
+    script.proxy.set_config([("/robot/image", "/cam2")])
+    got = []
+    script.handle.Subscriber("image", Message, got.append)
+    assert script.ports()["image"] == ("test/Message", "/cam2")
+    script.world.handle().Publisher("/cam2", Message).publish(1)
+    script.world.drain()
+    assert numbers(got) == [1]
+
+
+def test_it_may_turn_out_to_be_an_out_port(script):
+    script.proxy.set_config([("image", "/cam")])
+    script.handle.Publisher("image", Message)
+    assert script.ports()["image"] == ("test/Message", "/cam")
+    script.handle.Subscriber("image", Message, print)
+    assert sorted(script.ports()) == ["image_in", "image_out", "out"]
+    for name in ("image", "/robot/image"):
+        with pytest.raises(InvalidConfiguration, match="known ports: image_in, image_out, out"):
+            script.proxy.set_config([(name, "/cam")])
+
+
+@pytest.mark.parametrize("name", ["imag", "/image", "a b", "~image", ""])
+def test_what_no_load_names_is_unknown(script, name):
+    with pytest.raises(InvalidConfiguration, match="unknown port"):
+        script.proxy.set_config([(name, "/cam")])
+    assert list(script.ports()) == ["out"]
+
+
+@pytest.mark.parametrize("kind", [NodeHandle, ScriptHandle])
+@pytest.mark.parametrize(
+    ("port", "near"),
+    [
+        ("imge", "image"),
+        ("~image", "image"),
+        ("info", "~info"),
+        ("/info", "~info"),
+        ("image_", "image"),
+        ("cam/imge", "cam/image"),
+    ],
+)
+def test_a_misspelt_port_is_refused_with_the_right_one(kind, port: str, near: str) -> None:
+    """In nodelets, and in scripts in a nodelet manager or in a process of their own."""
+    context = World().context("/robot/n", remappings={"/robot/image": "/x"})
+    handle = kind(PlainNodeHandle(context, "/robot"))
+    for name in ("image", "cam/image"):
+        handle.Subscriber(name, Message, print)
+    handle.Publisher("~info", Message)
+    proxy = kind.proxy_class.of(context)
+    before = proxy.get_config()
+    with pytest.raises(InvalidConfiguration) as error:
+        proxy.set_config([("image", "/y"), (port, "/z")])
+    assert f"unknown port '{port}'; known ports: cam/image, image, ~info; " in str(error.value)
+    hints = str(error.value).split("did you mean ")[1].rstrip("?").split(" or ")
+    assert near in hints
+    assert proxy.get_config() == before
+
+
+@pytest.mark.parametrize("maker", ["Publisher", "Subscriber"])
+def test_what_the_load_misspells_is_unknown(script, maker):
+    getattr(script.handle, maker)("~image", Message, None)
+    with pytest.raises(InvalidConfiguration, match="did you mean ~image"):
+        script.proxy.set_config([("image", "/cam")])
+    assert sorted(script.ports()) == ["out", "~image"]
+
+
+def test_a_lazy_script_may_have_both():
+    """Either its load names both, or it watches its subscribers."""
+    named = Script(**{"/robot/script/image": "/x"})
+    named.handle.Publisher("~image", Message)
+    watching = Script()
+    watching.handle.Publisher("~image", Message, subscriber_listener=SubscribeListener())
+    for script in (named, watching):
+        script.proxy.set_config([("image", "/cam")])
+        assert script.ports()["image"] == ("", "/cam")
+
+
+def test_a_port_by_a_longer_name(script):
+    script.handle.Publisher("~out", Message)
+    script.proxy.set_config([("script/out", "/x")])
+    assert script.ports()["~out"] == ("test/Message", "/x")
+    assert "script/out" not in script.ports()
+
+
+@pytest.mark.parametrize("maker", ["Publisher", "Subscriber"])
+def test_a_port_that_the_script_has_let_go_of_may_get_another_type(script, maker):
+    make = getattr(script.handle, maker)
+    make("words", OtherMessage, None).unregister()
+    make("words", Message, None)
+    assert script.ports()["words"] == ("test/Message", "/robot/words")
+    with pytest.raises(PortConflict, match="a port of type test/OtherMessage"):
+        make("words", OtherMessage, None)
+
+
+def test_a_subscriber_to_any_type_goes_with_one_of_a_type(script):
+    got, any_type = [], []
+    for datatype, received in ((AnyMessage, any_type), (Message, got), (AnyMessage, any_type)):
+        script.handle.Subscriber("words", datatype, received.append)
+    assert script.ports()["words"] == ("test/Message", "/robot/words")
+    script.world.handle().Publisher("/robot/words", Message).publish(1)
+    script.world.drain()
+    assert numbers(got) == [1]

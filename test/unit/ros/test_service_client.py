@@ -14,15 +14,19 @@ import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, List, Tuple
+from typing import Any, List
+from unittest import mock
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join
 from dyknow_msgs.srv import Poll, RemoveTransformation
+from dynamic_reconfigure.msg import Config, DoubleParameter
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import HostError, NotUtf8, PeerTimeout
 from dyknow.model.graph import NodeletKind
+from dyknow.model.transformation import Parameter
+from dyknow.ros.hosting import reconfigure
 from dyknow.ros.hosting.child import Child
 from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.hosting.external import External
@@ -40,8 +44,7 @@ SOON = 0.05
 @pytest.fixture
 def manager(monkeypatch):
     with small_graph() as graph:
-        graph.nodes[NAME] = manager = SmallManager()
-        manager.nodelets = ["/b", "/a"]
+        graph.nodes[NAME] = manager = SmallManager(nodelets=["/b", "/a"])
         monkeypatch.setenv("ROS_MASTER_URI", graph.uri)
         yield manager
 
@@ -90,20 +93,19 @@ class SlowMaster(Master):
     """Answers each third question in time."""
 
     questions = 0
+    cause: Any = socket.timeout
 
     def ask(self, question: str, *args: Any) -> Any:
         self.questions += 1
         if self.questions % 3:
-            raise PeerTimeout("the ROS master", 3.0) from socket.timeout()
+            raise PeerTimeout("the ROS master", 3.0) from self.cause()
         return super().ask(question, *args)
 
 
 class GoneMaster(SlowMaster):
     """Refuses every connection."""
 
-    def ask(self, question: str, *args: Any) -> Any:
-        self.questions += 1
-        raise PeerTimeout("the ROS master", 3.0) from ConnectionRefusedError()
+    cause = ConnectionRefusedError
 
 
 @pytest.mark.parametrize(
@@ -244,9 +246,6 @@ def test_a_client_that_is_closed_while_it_is_asked_refuses_or_answers(manager, m
 # Frames
 
 
-Link = Tuple[TcprosConnection, socket.socket]
-
-
 @pytest.fixture
 def link():
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -291,8 +290,8 @@ UNKNOWN_TO_ROSCPP = "received a tcpros connection for a nonexistent service [/ma
 def polled(kind="", error=""):
     """A client of one process, and the process."""
     with small_graph() as graph:
-        graph.nodes[NAME] = process = SmallManager(kind)
-        process.nodelets, process.error = ["/b", "/a"], error
+        graph.nodes[NAME] = process = SmallManager(kind, ["/b", "/a"])
+        process.error = error
         with contextlib.closing(PollClient(Master("/test", graph.uri), NAME, bool(kind))) as each:
             yield each, process
 
@@ -328,3 +327,23 @@ def test_a_process_of_another_version_is_named_as_such(kind, error):
         with pytest.raises(HostError, match="another version of DyKnow: restart it"):
             client.ask(PATIENCE)
         assert not client.is_stock
+
+
+# Parameters that a nodelet takes at once, by dynamic_reconfigure
+
+
+def test_a_double_takes_a_whole_number(monkeypatch):
+    """A server in C++ passes over a parameter among those of another type."""
+    rate = DoubleParameter("rate", 30.0)
+
+    def call(timeout: float, config: Config) -> Any:
+        for each in config.doubles:
+            rate.value = each.value
+        return SimpleNamespace(config=Config(doubles=[rate]))
+
+    made = mock.Mock(return_value=SimpleNamespace(call=call))
+    monkeypatch.setattr(reconfigure, "ServiceClient", made)
+    master: Any = None
+    assert reconfigure.reconfigure(master, "/camera", Parameter("rate", "int", "5"))
+    assert rate.value == 5.0
+    assert [each[0][1] for each in made.call_args_list] == ["/camera/set_parameters"] * 2

@@ -31,8 +31,7 @@ class Parameters:
         if self.is_away:
             raise PeerTimeout("the master", 1.0)
         if question == "setParam" and key == NAME:
-            for name, value in values[0].items():
-                self.values[f"{NAME}/{name}"] = value
+            self.values.update({f"{NAME}/{name}": value for name, value in values[0].items()})
         elif question == "setParam":
             self.values[key] = values[0]
         elif key not in self.values:
@@ -53,13 +52,13 @@ class Parameters:
 class Side:
     """One manager, whose registration and look are separate steps."""
 
-    def __init__(self, master: Parameters, uri: str, kept: str = "") -> None:
+    def __init__(self, master: Parameters, uri: str) -> None:
         self.now = 0.0
         self.master, self.uri = master, uri
-        self.tenure = Tenure(NAME, master, kept, lambda: self.now)  # type: ignore[arg-type]
-        self.verdict = TenureVerdict.HOLD
 
-    def start(self) -> None:
+    def start(self, kept: str = "") -> None:
+        self.tenure = Tenure(NAME, self.master, kept, lambda: self.now)  # type: ignore[arg-type]
+        self.verdict = TenureVerdict.HOLD
         self.tenure.take()
         self.tenure._uri = self.uri
         self.register()
@@ -73,11 +72,8 @@ class Side:
         self.verdict = self.tenure.look()
         if self.verdict is TenureVerdict.RETURN:
             self.tenure.take_back({})
-            kept = self.tenure.variables[VARIABLE]
-            self.tenure = Tenure(NAME, self.master, kept, lambda: self.now)  # type: ignore[arg-type]
+            self.start(self.tenure.variables[VARIABLE])
             assert self.tenure.is_resumed
-            self.start()
-            self.verdict = TenureVerdict.HOLD
 
 
 @pytest.fixture
@@ -90,15 +86,10 @@ def pair() -> Tuple[Side, Side]:
     return elder, younger
 
 
-Steps = List[str]
-
-
 @pytest.mark.parametrize(
     "steps", sorted(set(itertools.permutations(["elder", "younger", "stray", "elder", "younger"])))
 )
-def test_the_elder_goes_on_in_whatever_order_they_look(
-    pair: Tuple[Side, Side], steps: Steps
-) -> None:
+def test_the_elder_goes_on_in_whatever_order_they_look(pair, steps):
     elder, younger = pair
     for step in (*steps, "elder", "younger"):
         if step == "stray":  # a registration that the elder sent earlier arrives
@@ -171,9 +162,7 @@ def test_the_loop_looks_until_the_name_is_decided(pair: Tuple[Side, Side]) -> No
 
 
 @pytest.mark.parametrize("given", ["robot1", "/robot1", "/robot1/"])
-def test_the_name_is_global_however_its_namespace_is_given(
-    given: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_name_is_global_however_its_namespace_is_given(given, monkeypatch):
     assert _name_of(["manager", f"__ns:={given}"]) == "/robot1/dyknow_manager"
     monkeypatch.setenv("ROS_NAMESPACE", given)
     assert _name_of(["manager", "__name:=m"]) == "/robot1/m"

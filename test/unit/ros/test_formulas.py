@@ -1,16 +1,18 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The streams of a formula's individuals: claims that end, that are of no use, that come late."""
+"""Formulas on topics: the streams of individuals, and damaged bags."""
 
 from __future__ import annotations
 
+import random
 from types import SimpleNamespace
 from typing import Any, Callable, List, Optional
 
 import pytest
+import rosbag
 import rospy
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
 from dyknow.cli.commands import holds
 from dyknow.cli.shell import Shell
@@ -19,6 +21,10 @@ from dyknow.formulas import parse
 from dyknow.model.streams import ClaimState
 from dyknow.ros import acquiring
 from dyknow.ros.formulas import individuals, sources
+from dyknow.ros.formulas.bags import Bag
+from dyknow.ros.shell.story import moments
+
+# The streams of a formula's individuals: claims that end, that are of no use, that come late
 
 
 class Stream:
@@ -50,6 +56,7 @@ class Surroundings:
         subscribed: topics with a subscriber.
         refusal: the individual whose topic is guarded.
         impossible: tags of which no stream can be made.
+        requests: all tags that were requested.
         meanwhile: called when a claim was made.
     """
 
@@ -64,11 +71,13 @@ class Surroundings:
         self.meanwhile: Callable[[], None] = lambda: None
         self.refusal: Optional[str] = None
         self.impossible: List[str] = []
+        self.requests: List[str] = []
 
     def find_bindings(self, tag, datatype=""):
         return [f"?c={name}" for name in self.names]
 
     def acquire(self, tag, kind="", **unused):
+        self.requests.append(tag)
         if tag in self.impossible:
             raise DyKnowError("nothing supplies it")
         stream = Stream(self.open, tag, self.datatypes.get(tag, Bool._type))
@@ -99,6 +108,14 @@ def told(monkeypatch):
     return lines
 
 
+@pytest.fixture
+def now(monkeypatch):
+    """The steady time, moved by the test."""
+    now = [0.0]
+    monkeypatch.setattr(individuals.time, "monotonic", lambda: now[0])
+    return now
+
+
 def streams(around):
     return individuals.IndividualStreams(around, {"f": "Flag(?c)"}, {}, around.subscribe)
 
@@ -115,19 +132,20 @@ def test_an_individual_whose_claim_has_ended_is_acquired_again(around, state):
     assert sorted(around.subscribed) == ["/Flag(a)", "/Flag(b)"]
 
 
-def test_an_individual_whose_claim_has_ended_and_cannot_be_made_again_is_gone(around, told):
+def test_an_individual_whose_claim_has_ended_and_cannot_be_made_again_is_gone(around, told, now):
     found = streams(around)
     found._look()
     around.acquired[0].state = ClaimState.EXPIRED
     around.impossible = ["Flag(a)"]
-    found._look()
-    assert found.present() == {"?c": ["b"]}
+    around.requests.clear()
+    for now[0] in range(100):
+        found._look()
+        assert found.present() == {"?c": ["b"]}
     assert told == ["the individual a has no stream Flag(a): nothing supplies it"]
+    assert around.requests.count("Flag(a)") < 10  # each may have spawned nodelets
 
 
-def test_a_stream_of_no_use_is_released_and_the_next_one_acquired(around, told, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(individuals.time, "monotonic", lambda: now[0])
+def test_a_stream_of_no_use_is_released_and_the_next_one_acquired(around, told, now):
     around.datatypes["Flag(a)"] = "nobody_msgs/Foo"
     found = streams(around)
     for now[0] in range(100):
@@ -149,23 +167,6 @@ def test_a_subscriber_that_is_refused_leaves_no_claim(around, told):
     found._look()
     assert around.open == ["Flag(b)"]
     assert len(told) == 1
-
-
-def test_a_stream_that_cannot_be_made_is_requested_after_growing_pauses(around, told, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(individuals.time, "monotonic", lambda: now[0])
-    requests: List[str] = []
-
-    def acquire(tag, *args, **kwds):
-        requests.append(tag)
-        return around.acquire(tag, *args, **kwds)
-
-    monkeypatch.setattr(individuals, "acquire", acquire)
-    around.impossible = ["Flag(a)"]
-    found = streams(around)
-    for now[0] in range(100):
-        found._look()
-    assert requests.count("Flag(a)") < 10  # each may have spawned nodelets
 
 
 def test_holds_keeps_messages_until_their_individual_is_present(monkeypatch):
@@ -222,3 +223,56 @@ def test_holds_ends_with_a_stream_that_has_ended(around, monkeypatch):
     with pytest.raises(DyKnowError, match=r"the stream Flag\(a\) has ended: no such stream"):
         next(verdicts)
     assert around.open == []
+
+
+# Damaged bags, and files that are not bags: one error for each, whatever rosbag raises
+
+
+FORMULA = parse('a.data == "x"')
+
+
+def read(path):
+    """Read a bag as ``why`` and as ``holds`` do; returns the errors."""
+    errors = []
+    for reading in (
+        lambda: moments(path),
+        lambda: list(Bag(path).verdicts(FORMULA.monitor(), {"a": "/a"}, lambda seconds: None)),
+    ):
+        try:
+            reading()
+        except DyKnowError as error:
+            errors.append(str(error))
+    return errors
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
+    chance, path = random.Random(seed), str(tmp_path / "run.bag")
+    with rosbag.Bag(path, "w") as bag:
+        for number in range(20):
+            bag.write("/a", String(str(number)), rospy.Time(1 + number))
+    with open(path, "r+b") as file:
+        size = file.seek(0, 2)
+        if seed % 3 == 0:
+            file.truncate(chance.randrange(size))
+        for _ in range(3):
+            file.seek(chance.randrange(size))
+            file.write(bytes([chance.randrange(256)]))
+    assert all(path in error for error in read(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\x89PNG\r\n", "is damaged, or is no bag (UnicodeDecodeError"),
+        (b"", "cannot be read"),
+        (b"text\n", "cannot be read"),
+        (None, "cannot be read: [Errno 2] No such file"),
+    ],
+)
+def test_a_file_that_is_no_bag_is_refused(tmp_path, content, said):
+    path = tmp_path / "run.bag"
+    if content is not None:
+        path.write_bytes(content)
+    errors = read(str(path))
+    assert len(errors) == 2 and all(said in error for error in errors)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""A thread that the system refuses (``ulimit -u``, ``pids.max``) leaves nothing half made."""
+"""Threads that the system refuses (``ulimit -u``, ``pids.max``), and exceptions in threads."""
 
 from __future__ import annotations
 
@@ -12,17 +12,26 @@ import socket
 import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import pytest
-from clocks import PATIENCE, eventually, join, wait_for
+import rospy
+from clocks import PATIENCE, eventually, in_thread, join, wait_for
+from dyknow_msgs.msg import NodeletPorts
 from rospy.impl import registration
 from rospy.topics import _SubscriberImpl
 from sensor_msgs.msg import Image
 from unit.nodelet.fakes import Idle, Message, World
 
+from dyknow import periodic
+from dyknow.model.graph import Model
 from dyknow.nodelet.hand_over import HandOvers
 from dyknow.periodic import ControlLoop, PeriodicWorker
-from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros import stream_session
+from dyknow.ros.bonding import bonds
+from dyknow.ros.manager.services import ModelTopic
+from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.process_view import process_views
 from dyknow.ros.scripts.sandbox import Sandbox
@@ -46,8 +55,16 @@ class Limit:
 
         monkeypatch.setattr(threading.Thread, "start", limited)
 
-    def refuse(self, name, spared=0):
+    def refuse(self, name):
+        self.name = name
+
+    @contextlib.contextmanager
+    def reaches(self, name, spared=0):
+        """Within, a thread of that name is refused, as the caller learns."""
         self.name, self.spared = name, spared
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            yield
+        self.name, self.spared = "", 0
 
 
 @pytest.fixture(name="limit")
@@ -55,16 +72,10 @@ def _limit(monkeypatch):
     return Limit(monkeypatch)
 
 
-def refused():
-    return pytest.raises(RuntimeError, match="can't start new thread")
-
-
 def test_the_next_timer_starts_the_thread_of_the_timers(limit):
     world, fired = World(), threading.Event()
-    limit.refuse("dyknow-timers")
-    with refused():
+    with limit.reaches("dyknow-timers"):
         world.handle().Timer(1.0, lambda event: pytest.fail("it was not made"))
-    limit.refuse("")
     world.handle().Timer(1.0, lambda event: fired.set())
     world.ticker.advance(1.0)
     world.ticker.next_due(PATIENCE)
@@ -110,11 +121,9 @@ def test_nodelets_are_freed_after_the_next_unload(limit, caplog):
 
 def test_a_loop_starts_the_missing_threads_with_the_next_attempt(limit):
     loop, ran = ControlLoop(2, name="looping"), threading.Semaphore(0)
-    limit.refuse("looping", spared=1)
-    with refused():
+    with limit.reaches("looping", spared=1):
         loop.start()
     assert not loop.started
-    limit.refuse("")
     loop.start()
     limit.refuse("looping")
     loop.add("standing", ran.release, after=0.0)  # other threads run it meanwhile
@@ -130,10 +139,8 @@ def test_a_loop_starts_the_missing_threads_with_the_next_attempt(limit):
 
 def test_a_worker_can_be_started_again(limit):
     worker, ran = PeriodicWorker("working", lambda: ran.set()), threading.Event()
-    limit.refuse("working")
-    with refused():
+    with limit.reaches("working"):
         worker.start()
-    limit.refuse("")
     worker.start()
     worker.wake()
     wait_for(ran)
@@ -182,12 +189,10 @@ def test_a_move_that_got_no_thread_is_not_begun(limit):
     unload = functools.partial(loader.unload, "/n")
     moves = HandOvers(loader, lambda datatype: Message, unload)
     loader.load("/n", "idle")
-    limit.refuse("moving")
     for step in (moves.note, lambda name: moves.park(name, [])):
-        with refused():
+        with limit.reaches("moving"):
             step("/n")
         assert moves._moves == {}
-    limit.refuse("")
     moves.park("/n", [])
     limit.refuse("moving")
     moves.take("/n", [])
@@ -229,10 +234,9 @@ def test_a_publisher_whose_connection_got_no_thread_is_connected_later(limit, mo
 
 
 def test_a_bond_that_got_no_thread_is_not_made(limit):
-    made = Bonds("/bond")
-    limit.refuse("bonds")
+    made = bonds.Bonds("/bond")
     for _ in range(2):
-        with refused():
+        with limit.reaches("bonds"):
             made.add("id", lambda: None)
     assert made._table.next_due() is None
 
@@ -240,12 +244,10 @@ def test_a_bond_that_got_no_thread_is_not_made(limit):
 def test_a_script_does_not_wait_for_a_thread_that_it_did_not_get(limit):
     sandbox, ran = Sandbox("sandbox"), threading.Event()
     thread = process_views(sandbox)["threading"]().Thread(target=ran.set, name="refused")
-    limit.refuse("refused")
-    with refused():
+    with limit.reaches("refused"):
         thread.start()
     assert sandbox.threads == []
     sandbox.join()
-    limit.refuse("")
     thread.start()
     join(thread)
     assert ran.is_set()
@@ -255,10 +257,91 @@ def test_a_script_does_not_wait_for_a_thread_that_it_did_not_get(limit):
 
 def test_the_thread_for_finalizers_is_started_by_the_next_sandbox(limit, monkeypatch):
     monkeypatch.setattr(sandbox_module, "_is_deferring", False)
-    limit.refuse("calls of finalizers")
-    with refused():
+    with limit.reaches("calls of finalizers"):
         Sandbox("sandbox")
     assert not sandbox_module._is_deferring
-    limit.refuse("")
     Sandbox("sandbox")
     assert sandbox_module._is_deferring
+
+
+# Threads go on after any exception in them
+
+
+class Fault:
+    """Raises the first time, and then does its work."""
+
+    def __init__(self, work=lambda *arguments, **kwds: None):
+        self._work = work
+        self.is_due = True
+        self.done = []
+
+    def __call__(self, *arguments, **kwds):
+        if self.is_due:
+            self.is_due = False
+            raise RuntimeError("injected")
+        self.done.append(arguments)
+        return self._work(*arguments, **kwds)
+
+
+@pytest.fixture
+def topic(monkeypatch):
+    """Stands for publishers and subscribers; its first publish raises an unexpected error."""
+    topic = mock.Mock(publish=Fault(), get_num_connections=lambda: 1)
+    monkeypatch.setattr(rospy, "Publisher", lambda *arguments, **options: topic)
+    monkeypatch.setattr(rospy, "Subscriber", lambda *arguments, **options: topic)
+    monkeypatch.setattr(rospy.Time, "now", classmethod(lambda cls: rospy.Time()))
+    monkeypatch.setattr(periodic, "RETRY", 0.01)
+    monkeypatch.setattr(bonds, "RETRY", 0.01)
+    return topic
+
+
+@pytest.mark.parametrize("where", ["take", "before", "publish"])
+def test_the_model_is_published_although_something_failed(topic, where):
+    model = Model(1, 1, ())
+    take, before = Fault(lambda: model), Fault()
+    take.is_due, before.is_due = where == "take", where == "before"
+    topic.publish.is_due = where == "publish"
+    messages: Any = SimpleNamespace(topic=lambda model: model)
+    models = ModelTopic(take, messages, before)
+    with pytest.raises(RuntimeError, match="injected"):
+        models.publish()
+    for _ in range(2):
+        models.publish()
+    assert topic.publish.done == [(model,)]
+
+
+def test_a_change_is_announced_although_it_failed_at_first(topic):
+    announcer = Announcer(lambda name: NodeletPorts(name, True, [], "", ""))
+    with contextlib.closing(announcer):
+        announcer.start()
+        announcer.announce("/a")
+        eventually(lambda: topic.publish.done)
+    assert "/a" in str(topic.publish.done[0][0])
+
+
+def test_heartbeats_of_a_client_go_on(topic, monkeypatch):
+    monkeypatch.setattr(stream_session.Constants, "DEFAULT_HEARTBEAT_PERIOD", 0.01)
+    with contextlib.closing(stream_session.ClientBond("/manager")):
+        eventually(lambda: len(topic.publish.done) >= 2)
+
+
+def test_leases_are_renewed_although_one_of_them_raises(topic, monkeypatch):
+    monkeypatch.setattr(stream_session, "ClientBond", lambda manager: SimpleNamespace(close=int))
+    monkeypatch.setattr(stream_session, "_RETRY", 0.01)
+    renew = Fault()
+    client: Any = mock.Mock(manager="/manager", renew_stream=renew, list_streams=lambda: ())
+    with contextlib.closing(stream_session.StreamSession.open(client)) as session:
+        for name in ("first", "second"):
+            session.add(mock.Mock(claim_id=name, lease=0.03))
+        eventually(lambda: len(renew.done) >= 4)
+    assert {arguments[0] for arguments in renew.done} == {"first", "second"}
+
+
+def test_bonds_are_served_on(topic, monkeypatch):
+    topic.publish.is_due = False
+    made = bonds.Bonds("/bond")
+    tick = Fault(made._table.tick)
+    monkeypatch.setattr(made._table, "tick", tick)
+    made.add("b", lambda: None)
+    eventually(lambda: tick.done)
+    join(in_thread(lambda: made.close(0.01)))

@@ -1,21 +1,24 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Bonds on a clock of the test's, in tables that are connected, and those of claims."""
+"""Bonds: one end, tables of several, those of nodelets and those of claims."""
 
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, List, Set
+from typing import Any, List
 
 import pytest
 from clocks import in_thread, join, wait_for
+from unit.nodelet.fakes import Idle, make_pool_world
 
 from dyknow.model.streams import StreamRequest
+from dyknow.nodelet.loader import Loader
 from dyknow.ros.bonding import bonded
 from dyknow.ros.bonding.bond_table import BondTable, BondTimings, DuplicateBond
-from dyknow.ros.bonding.bonded import ClaimBonds
+from dyknow.ros.bonding.bonded import BondedNodelets, ClaimBonds
 
 TIMINGS = BondTimings(
     connect_timeout=10.0,
@@ -31,11 +34,11 @@ class OneBond:
 
     def __init__(self):
         self.table = BondTable(TIMINGS)
-        self.broken = 0
+        self.broken = []
         self.add(0.0)
 
     def add(self, now):
-        (word,) = self.table.add("id", self._break, now).announcements
+        (word,) = self.table.add("id", lambda: self.broken.append(now), now).announcements
         self.we = word.instance_id
 
     def hear(self, now, active=True, who="she"):
@@ -46,12 +49,6 @@ class OneBond:
 
     def part(self, now):
         return self._words(self.table.remove("id", now))
-
-    def is_over(self):
-        return len(self.table) == 0
-
-    def _break(self):
-        self.broken += 1
 
     def _words(self, effects):
         for callback in effects.broken:
@@ -127,11 +124,11 @@ def test_one_bond(bond, name):
     }
     for step in SCRIPTS[name].split(" | "):
         if step == "over":
-            assert bond.is_over() and bond.table.next_due() is None
+            assert len(bond.table) == 0 and bond.table.next_due() is None
             continue
         now, event, *expected = step.split()
         assert (events[event](float(now)) or "") == " ".join(expected), step
-    assert bond.broken == SCRIPTS[name].count("broken")
+    assert len(bond.broken) == SCRIPTS[name].count("broken")
 
 
 def test_heartbeats_keep_a_bond(bond):
@@ -145,136 +142,63 @@ def test_heartbeats_keep_a_bond(bond):
 
 
 def test_a_sister_who_ignores_the_end_of_each_bond_has_the_next_one(bond):
-    now = 0.0
-    for _ in range(3):
-        bond.hear(now + 1.0, who="deaf")
-        bond.part(now + 1.0)
-        bond.add(now + 1.0)
-        now += 1.0
-    for second in range(30):
-        bond.hear(now + second, who="deaf")
-        bond.tick(now + second)
-    assert bond.broken == 0
-    assert bond.tick(now + 29 + 4.0) == "dead broken"
+    for now in (1.0, 2.0, 3.0):
+        bond.hear(now, who="deaf")
+        bond.part(now)
+        bond.add(now)
+    for second in range(3, 33):
+        bond.hear(float(second), who="deaf")
+        bond.tick(float(second))
+    assert bond.broken == []
+    assert bond.tick(32 + 4.0) == "dead broken"
 
 
-class Network:
-    """Tables on one topic; delivers each message to all of them, including the sender."""
-
-    def __init__(self):
-        timings = BondTimings(10.0, 4.0, 2.0, 1.0, 0.5)
-        self.now = 0.0
-        self.broken = []
-        self.tables = [BondTable(timings) for _ in range(3)]
-        self.manager, self.a, self.b = self.tables
-        for table, name, ids in zip(self.tables, ("manager", "A", "B"), ("ab", "a", "b")):
-            for bond_id in ids:
-                self.add(table, bond_id, (name, bond_id))
-
-    def add(self, table, bond_id, entry):
-        self.carry(table.add(bond_id, lambda: self.broken.append(entry), self.now))
-
-    def remove(self, table, bond_id):
-        self.carry(table.remove(bond_id, self.now))
-
-    def carry(self, effects):
-        for callback in effects.broken:
-            callback()
-        for each in effects.announcements:
-            for table in self.tables:
-                self.carry(table.receive(each.bond_id, each.instance_id, each.active, self.now))
-
-    def run(self, until):
-        """Let time pass from one due moment to the next."""
-        while True:
-            due = [t for t in (table.next_due() for table in self.tables) if t is not None]
-            if not due or min(due) > until:
-                self.now = until
-                return
-            self.now = max(self.now, min(due))
-            for table in self.tables:
-                self.carry(table.tick(self.now, True))
-
-
-@pytest.fixture
-def pair():
-    """A manager with the bonds a and b, and a client of each."""
-    return Network()
-
-
-def test_a_client_that_parts_or_is_killed_breaks_its_own_bond(pair):
-    pair.run(5.5)
-    assert pair.broken == []
-    assert list(map(len, pair.tables)) == [2, 1, 1]
-    pair.tables.remove(pair.a)
-    pair.run(8.9)
-    assert pair.broken == []
-    pair.run(9.0)
-    assert pair.broken == [("manager", "a")]
-    pair.remove(pair.b, "b")
-    assert pair.broken == [("manager", "a"), ("manager", "b")]
-    pair.run(60.0)
-    assert len(pair.broken) == 2
-    assert list(map(len, pair.tables)) == [0, 0]
-
-
-def test_all_bonds_of_a_table_share_a_heartbeat():
-    table = Network().manager
+def test_all_bonds_of_a_table_share_a_heartbeat_and_end_together():
+    table = BondTable(replace(TIMINGS, heartbeat_period=1.0))
     for number in range(40):
         table.add(f"bond{number}", lambda: None, now=number * 0.01)
     assert table.next_due() == 1.0
-    assert len(table.tick(1.0).announcements) == 42
+    assert len(table.tick(1.0).announcements) == 40
     assert table.next_due() == 2.0
+    assert not table.is_parting()
+    assert not any(each.active for each in table.remove_all(1.0).announcements)
+    assert table.is_parting()
+    assert table.next_due() == 1.5
 
 
-def test_the_manager_removes_its_ends(pair):
-    pair.run(5.0)
-    pair.remove(pair.manager, "a")
-    assert pair.broken == [("A", "a")]
-    assert not pair.manager.is_parting()
-    pair.carry(pair.manager.remove_all(5.0))
-    assert pair.broken == [("A", "a"), ("B", "b")]
-    assert len(pair.manager) == 0
-    assert not pair.manager.remove("unknown", 5.0)
-    assert not pair.manager.receive("unknown", "x", True, 5.0)
-
-
-def test_an_id_is_unique_while_its_bond_lives_and_can_be_used_again_at_once(pair):
-    pair.run(5.0)
+def test_an_id_is_unique_while_its_bond_lives_and_can_be_used_again_at_once(bond):
+    bond.hear(1.0)
     with pytest.raises(DuplicateBond) as raised:
-        pair.manager.add("a", lambda: None, 5.0)
-    assert raised.value.bond_id == "a"
-    effects = pair.manager.remove("a", 5.0)
-    again = pair.manager.add("a", lambda: pair.broken.append("again"), 5.0)
-    pair.carry(effects)
-    pair.carry(again)
-    assert pair.broken == [("A", "a")]
-    pair.run(8.0)
-    pair.add(pair.a, "a", "client again")
-    pair.run(60.0)
-    assert pair.broken == [("A", "a")]
+        bond.add(5.0)
+    assert raised.value.bond_id == "id"
+    bond.part(5.0)
+    bond.add(5.0)
+    assert not bond.table.is_parting()
+    assert not bond.table.remove("unknown", 5.0)
+    assert not bond.table.receive("unknown", "x", True, 5.0)
 
 
 # Bonds of claims: one for each id in a claim, under concurrent changes of claims
 
 
 class FakeBonds:
-    """Bonds of one topic; adding one can be held up."""
+    """Bonds that a test breaks; broken ones can be reported later, and adding one held up."""
 
-    def __init__(self, topic, clock):
-        self.held: Set[str] = set()
-        self.adding = threading.Event()
-        self.go_on = threading.Event()
+    def __init__(self, topic="", clock=None):
+        self.living = {}
+        self.adding, self.go_on = threading.Event(), threading.Event()
         self.go_on.set()
-        self.remove = self.held.discard
-        self.close = self.held.clear
+        self.close = self.living.clear
 
     def add(self, bond_id, on_broken):
         self.adding.set()
         wait_for(self.go_on)
-        if bond_id in self.held:
+        if bond_id in self.living:
             raise DuplicateBond(bond_id)
-        self.held.add(bond_id)
+        self.living[bond_id] = on_broken
+
+    def remove(self, bond_id):
+        self.living.pop(bond_id, None)
 
 
 def claim(claim_id, bond_id, ended=False):
@@ -296,7 +220,7 @@ class Table:
     def follow(self, *claims):
         self.claims = list(claims)
         self.bonds.follow()
-        return set(self.fake.held)
+        return {*self.fake.living}
 
 
 @pytest.fixture
@@ -328,4 +252,80 @@ def test_a_claim_that_ends_while_its_bond_is_made_leaves_none(table):
     ending.join(0.1)  # it may be over at once, or wait for the first
     table.fake.go_on.set()
     join(making, ending)
-    assert table.fake.held == set()
+    assert not table.fake.living
+
+
+# Bonds of nodelets: each is that of one nodelet, and not of the next one under its name
+
+
+class Place:
+    """A loader of nodelets with bonds."""
+
+    def __init__(self, runtime):
+        self.loader = Loader(runtime, lambda name, _: Idle, on_unloaded=self.unloaded)
+        self.bonds = FakeBonds()
+        self.bonded = BondedNodelets(
+            self.bonds, lambda context: self.loader.unload(context.name, context)
+        )
+        self.meanwhile = lambda: None
+
+    def unloaded(self, context):
+        meanwhile, self.meanwhile = self.meanwhile, lambda: None
+        meanwhile()
+        self.bonded.ended(context)
+
+    def load(self):
+        return self.loader.load("/n", "idle").context
+
+    def load_bonded(self, bond_id):
+        self.bonded.add(self.load(), bond_id)
+
+
+@pytest.fixture
+def place():
+    world = make_pool_world(1)
+    yield Place(world.runtime)
+    world.close()
+
+
+def test_a_broken_bond_unloads_and_an_unload_breaks_the_bond(place):
+    place.load_bonded("one")
+    place.bonds.living.pop("one")()
+    assert place.loader.list() == []
+    place.load_bonded("two")
+    place.loader.unload("/n")
+    assert not place.bonds.living
+    place.bonded.wait(10.0)  # returns at once
+
+
+def test_a_nodelet_that_cannot_be_bonded_is_unloaded(place):
+    place.bonds.add("one", None)
+    with pytest.raises(DuplicateBond):
+        place.load_bonded("one")
+    assert place.loader.list() == []
+
+
+def test_the_end_of_one_leaves_the_bond_of_the_next_alone(place):
+    place.load_bonded("first")
+    place.meanwhile = lambda: place.load_bonded("second")
+    place.loader.unload("/n")
+    assert list(place.bonds.living) == ["second"]
+    place.bonds.living.pop("second")()
+    assert place.loader.list() == []
+
+
+def test_a_bond_that_breaks_late_leaves_the_next_one_alone(place):
+    place.load_bonded("first")
+    broken = place.bonds.living["first"]
+    place.loader.unload("/n")
+    place.load_bonded("second")
+    broken()
+    assert place.loader.list() == ["/n"]
+
+
+def test_one_that_is_gone_before_it_is_bonded_leaves_the_next_one_alone(place):
+    first = place.load()
+    place.loader.unload("/n")
+    place.load_bonded("second")
+    place.bonded.add(first, "first")
+    assert list(place.bonds.living) == ["second"]
