@@ -105,72 +105,43 @@ def test_a_malformed_list_is_refused(ontology, text: str, reason: str) -> None:
         ontology(text)
 
 
-N_TRIPLES = {
-    prefix: f"<http://www.w3.org/{place}#"
-    for prefix, place in (
-        ("owl", "2002/07/owl"),
-        ("rdf", "1999/02/22-rdf-syntax-ns"),
-        ("rdfs", "2000/01/rdf-schema"),
-    )
-}
-OWL, RDF, RDFS = N_TRIPLES["owl"], N_TRIPLES["rdf"], N_TRIPLES["rdfs"]
-
-
 def deep(count: int) -> Iterator[str]:
     """Intersections in intersections; individual x is in the innermost, y in the outermost."""
     for n in range(count):
-        yield f"_:e{n} {OWL}intersectionOf> _:l{n} ."
-        yield f"_:l{n} {RDF}first> <{BASE}P{n}> . _:l{n} {RDF}rest> _:m{n} ."
-        yield f"_:m{n} {RDF}first> _:e{n + 1} . _:m{n} {RDF}rest> {RDF}nil> ."
-        yield f"<{BASE}y> {RDF}type> <{BASE}P{n}> ."
-    yield f"<{BASE}C> {OWL}equivalentClass> _:e0 . <{BASE}x> {RDF}type> <{BASE}C> ."
-    yield f"_:e{count} {RDFS}subClassOf> <{BASE}D> . <{BASE}y> {RDF}type> _:e{count} ."
+        yield f"_:e{n} owl:intersectionOf ( :P{n} _:e{n + 1} ) . :y a :P{n} ."
+    yield ":C owl:equivalentClass _:e0 . :x a :C ."
+    yield f"_:e{count} rdfs:subClassOf :D . :y a _:e{count} ."
 
 
 def chains(count: int) -> Iterator[str]:
     """Long chains of classes and of properties; individual x has a relative by the first one."""
     for n in range(count):
-        for word in ("subClassOf", "subPropertyOf"):
-            yield f"<{BASE}p{n}> {RDFS}{word}> <{BASE}p{n + 1}> ."
-    yield f"<{BASE}p{count}> {RDFS}domain> <{BASE}Domain> ."
-    yield f"<{BASE}x> {RDF}type> {OWL}NamedIndividual> . <{BASE}x> <{BASE}p0> <{BASE}x> ."
-    for whole, word, n in (("Some", "subClassOf", 0), ("Wider", "equivalentClass", count)):
-        kind = f"{RDFS if n == 0 else OWL}{word}>"
-        yield f"<{BASE}{whole}> {kind} _:{whole} . _:{whole} {OWL}onProperty> <{BASE}p{n}> ."
-        yield f"_:{whole} {OWL}someValuesFrom> <{BASE}p{n}> ."
+        yield f":p{n} rdfs:subClassOf :p{n + 1} ; rdfs:subPropertyOf :p{n + 1} ."
+    yield f":p{count} rdfs:domain :Domain . :x a owl:NamedIndividual ; :p0 :x ."
+    yield ":Some rdfs:subClassOf [ owl:onProperty :p0 ; owl:someValuesFrom :p0 ] ."
+    last = f"[ owl:onProperty :p{count} ; owl:someValuesFrom :p{count} ]"
+    yield f":Wider owl:equivalentClass {last} ."
 
 
 def wide(count: int) -> Iterator[str]:
     """A union and an intersection of many classes."""
-    for word, whole in (("unionOf", "U"), ("intersectionOf", "I")):
-        yield f"<{BASE}{whole}> {OWL}{word}> _:{whole}0 ."
-        for n in range(count):
-            rest = f"_:{whole}{n + 1}" if n + 1 < count else f"{RDF}nil>"
-            yield f"_:{whole}{n} {RDF}first> <{BASE}P{n}> . _:{whole}{n} {RDF}rest> {rest} ."
-    yield f"<{BASE}x> {RDF}type> <{BASE}I> . <{BASE}y> {RDF}type> <{BASE}P7> ."
+    members = " ".join(f":P{n}" for n in range(count))
+    yield f":U owl:unionOf ( {members} ) . :I owl:intersectionOf ( {members} ) ."
+    yield ":x a :I . :y a :P7 ."
 
 
-def lines(triples: Iterator[str]) -> str:
-    return "\n".join(" .\n".join(each.split(" . ")) for each in triples) + "\n"
-
-
-def test_deep_wide_and_long_expressions_take_no_time(tmp_path: Path) -> None:
-    def written_out(triples: Iterator[str]) -> Ontology:
-        path = tmp_path / "o.nt"
-        path.write_text(lines(triples))
-        return Ontology([str(path)])
-
+def test_deep_wide_and_long_expressions_take_no_time(ontology: Load) -> None:
     started = time.process_time()
-    found = written_out(deep(1500))
+    found = ontology("\n".join(deep(1500)))
     assert found.individuals(BASE + "C") == ("x", "y")
     assert found.individuals(BASE + "D") == ("x", "y")
     assert "P1499" in found.names_above("C")
-    found = written_out(wide(3000))
+    found = ontology("\n".join(wide(3000)))
     assert found.individuals(BASE + "I") == ("x",)
     assert found.individuals(BASE + "U") == ("x", "y")
     assert "U" in found.names_above("I")
     assert "P1" not in found.names_above("U")
-    found = written_out(chains(5000))
+    found = ontology("\n".join(chains(5000)))
     assert "p5000" in found.names_above("p0")
     assert "Wider" in found.names_above("Some")
     assert "Domain" in found.names_above("Some")
