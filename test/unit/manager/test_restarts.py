@@ -24,7 +24,7 @@ from dyknow.errors import (
     UnknownNodelet,
 )
 from dyknow.manager.host import LoadRequest
-from dyknow.model.graph import NodeletKind, State
+from dyknow.model.graph import NodeletKind
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
 
@@ -70,39 +70,30 @@ def test_a_restart_keeps_what_users_have_changed(world: World) -> None:
     assert world.manager.graph.get("/front").status == before.status
 
 
-def test_a_new_specification_is_shown_and_taken(front: World) -> None:
-    assert front.manager.graph.get("/front").status.outdated == ""
-    new = CAMERA.replace(">30<", ">10<").replace("Raw(camera)", "Raw(front)")
-    front.manager.add_transformation(new)
-    front.manager.look()
-    status = front.manager.graph.get("/front").status
-    assert status.state is State.RUNNING
-    assert status.outdated == "its specification changed since it was loaded"
-    front.kill_manager()
-    assert front.manager.graph.get("/front").status.outdated
-    front.manager.restart("/front")
-    after = front.manager.graph.get("/front")
-    assert after.status.outdated == after.detail == ""
-    assert [(port.topic, port.tags) for port in after.ports] == [("/a", ("Raw(front)",))]
-    assert front.host.parameters == {"/front/rate": 10.0}
+def test_a_new_specification_and_new_code_are_shown_and_taken(world: World) -> None:
+    """What is shown lasts longer than the manager."""
 
+    def shown() -> str:
+        world.manager.look()
+        return world.manager.graph.get("/front").status.outdated
 
-def test_new_code_is_shown_and_taken_and_lasts_longer_than_the_manager(world: World) -> None:
     world.host.code["pkg/Camera"] = "old"
-    world.spawn("camera", "front")
+    world.spawn("camera", "front", config={"image": "/a"})
+    assert shown() == ""
     world.host.code["pkg/Camera"] = "new"
     world.kill_manager()
-    world.manager.look()
-    assert (
-        world.manager.graph.get("/front").status.outdated == "its code changed since it was loaded"
-    )
-    world.manager.add_transformation(CAMERA.replace(">30<", ">10<"))
-    world.manager.look()
-    text = "its specification and its code changed since it was loaded"
-    assert world.manager.graph.get("/front").status.outdated == text
-    world.manager.restart("front")
-    world.manager.look()
-    assert world.manager.graph.get("/front").status.detail == ""
+    assert shown() == "its code changed since it was loaded"
+    new = CAMERA.replace(">30<", ">10<").replace("Raw(camera)", "Raw(front)")
+    world.manager.add_transformation(new)
+    assert shown() == "its specification and its code changed since it was loaded"
+    assert world.states() == {"/front": "RUNNING"}
+    world.kill_manager()
+    assert world.manager.graph.get("/front").status.outdated
+    world.manager.restart("/front")
+    assert shown() == world.manager.graph.get("/front").detail == ""
+    (port,) = world.manager.graph.get("/front").ports
+    assert (port.topic, port.tags) == ("/a", ("Raw(front)",))
+    assert world.host.parameters == {"/front/rate": 10.0}
 
 
 def test_a_library_in_cpp_is_loaded_again_by_a_new_process_alone(world: World) -> None:
@@ -158,14 +149,21 @@ def test_what_cannot_run_is_refused_and_runs_on(world: World) -> None:
         world.manager.restart("frond")
 
 
-def test_what_others_made_is_not_restarted(world: World) -> None:
-    world.host.add("/external")
-    with pytest.raises(HostError, match="where it was started"):
-        world.manager.restart("/external")
-    world.host.run_node("/driver", "pkg/Camera", {}, NodeletKind.NODE)
-    world.manager.look()
-    with pytest.raises(HostError, match="where it was started"):
-        world.manager.restart("/driver")
+def test_what_others_made_is_not_restarted(front: World) -> None:
+    front.host.add("/external")
+    front.host.run_node("/driver", "pkg/Camera", {}, NodeletKind.NODE)
+    manager = front.manager.graph.get("/front").manager
+    front.host.load(manager, LoadRequest("/theirs", "pkg/Relay"), 1.0)
+    front.manager.look()
+    before = front.host.running
+    for name, why in (
+        ("/external", "where it was started"),
+        ("/driver", "where it was started"),
+        (manager, "/theirs"),
+    ):
+        with pytest.raises(HostError, match=why):
+            front.manager.restart(name)
+    assert front.host.running == before
 
 
 def test_a_specification_that_does_not_work_gives_way_to_the_former_one(front: World) -> None:
@@ -425,17 +423,6 @@ def test_a_nodelet_manager_is_restarted_with_all_its_nodelets(world: World) -> N
     assert world.host.nodelet("/alone") is alone
     world.manager.look()
     assert world.manager.lifecycle.suspects.verdict("/front") == ""
-
-
-def test_a_nodelet_manager_with_nodelets_of_others_is_left(world: World) -> None:
-    world.spawn("camera", "front")
-    manager = world.manager.graph.get("/front").manager
-    request = world.host.nodelet("/front").request
-    world.host.load(manager, request.__class__("/theirs", "pkg/Relay"), 1.0)
-    world.manager.look()
-    with pytest.raises(HostError, match="/theirs"):
-        world.manager.restart(manager)
-    assert "/theirs" in world.host.running
 
 
 # Parameters
