@@ -24,13 +24,7 @@ from unit.manager.field import (
 )
 
 from dyknow.backoff import SHARE
-from dyknow.errors import (
-    Denied,
-    InvalidTag,
-    NoPlanFound,
-    StreamTypeMismatch,
-    UnknownClaim,
-)
+from dyknow.errors import Denied, InvalidTag, NoPlanFound, StreamTypeMismatch, UnknownClaim
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.repair import Fault

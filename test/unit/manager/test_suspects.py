@@ -117,13 +117,17 @@ def wait_for_one_that_crashes(field: Field) -> None:
     field.manager.add_transformation(FIELD_LIBRARY)
 
 
+def crash_subsampler(field: Field, times: int = 1) -> None:
+    for _ in range(times):
+        field.settle()
+        (each,) = (each for each in field.manager.graph.all() if each.label == "subsampler")
+        field.host.crash(each.manager, [each.name])
+
+
 def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> None:
     field = Field()
     claim = field.acquire().claim
-    for _ in range(ENOUGH):
-        field.settle()
-        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
-        field.host.crash(field.manager.graph.get(name).manager, [name])
+    crash_subsampler(field, ENOUGH)
     field.settle()
     field.tidy()
     (alone,) = (each for each in field.manager.graph.all() if each.isolated)
@@ -131,8 +135,7 @@ def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> N
     assert "2 crashes" in alone.detail and "SIGSEGV" in alone.detail
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert claim.topic in field.moving
-    crashed = field.manager.graph.get(alone.name)
-    field.host.crash(crashed.manager, [crashed.name])
+    crash_subsampler(field)
     field.settle()
     field.tidy()
     assert [each.label for each in field.manager.graph.all() if each.isolated] == ["subsampler"]
@@ -159,10 +162,7 @@ def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() 
 def test_what_replaces_a_suspected_transformation_begins_anew() -> None:
     field = Field()
     field.acquire()
-    for _ in range(ENOUGH):
-        field.settle()
-        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
-        field.host.crash(field.manager.graph.get(name).manager, [name])
+    crash_subsampler(field, ENOUGH)
     field.manager.look()
     field.manager.add_transformation(FIELD_LIBRARY)
     field.tidy()
