@@ -218,26 +218,23 @@ def damaged(path: str, damage: Callable[[bytearray], bytes]) -> bytes:
     return broken
 
 
-def flip(where: int, bits: int) -> Callable[[bytearray], bytes]:
-    def damage(data: bytearray) -> bytes:
-        data[where % len(data)] ^= bits
-        return data
-
-    return damage
+def flip(data: bytearray, where: int, bits: int) -> bytes:
+    data[where % len(data)] ^= bits
+    return data
 
 
-def truncate(where: int, unused: int) -> Callable[[bytearray], bytes]:
-    return lambda data: data[: where % len(data)]
+def truncate(data: bytearray, where: int, unused: int) -> bytes:
+    return data[: where % len(data)]
 
 
-def zero(where: int, count: int) -> Callable[[bytearray], bytes]:
-    def damage(data: bytearray) -> bytes:
-        begin = where % len(data)
-        end = min(len(data), begin + 16 * count)
-        data[begin:end] = bytes(end - begin)
-        return data
+def zero(data: bytearray, where: int, count: int) -> bytes:
+    begin = where % len(data)
+    end = min(len(data), begin + 16 * count)
+    data[begin:end] = bytes(end - begin)
+    return data
 
-    return damage
+
+Damage = Callable[[bytearray, int, int], bytes]
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +242,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> str:
     return written(str(tmp_path_factory.mktemp("sound") / "state"), SOUND)
 
 
-def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) -> None:
+def check_start(sound: str, folder: Path, damage: Damage, where: int, extent: int) -> None:
     """Start with a damaged file and no backup: nothing is raised, and the next file works.
 
     All rows are read, or none are and a complaint says so.
@@ -254,7 +251,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     folder.mkdir()
     path = str(folder / "state")
     shutil.copyfile(sound, path)
-    broken = damaged(path, damage)
+    broken = damaged(path, lambda data: damage(data, where, extent))
     file = Store(path)
     found = content(file)
     assert file.trouble == ""
@@ -276,23 +273,18 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
 @example(truncate, 1, 1)
 @example(zero, 0, 255)
 def test_a_start_with_any_damage_works(
-    sound: str,
-    tmp_path_factory: pytest.TempPathFactory,
-    kind: Callable[[int, int], Callable[[bytearray], bytes]],
-    where: int,
-    extent: int,
+    sound: str, tmp_path_factory: pytest.TempPathFactory, kind: Damage, where: int, extent: int
 ) -> None:
-    folder = tmp_path_factory.getbasetemp() / "damaged"
-    check_start(sound, folder, kind(where, extent))
+    check_start(sound, tmp_path_factory.getbasetemp() / "damaged", kind, where, extent)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [flip, truncate, zero])
 def test_a_start_with_damage_at_every_place_works(
-    sound: str, tmp_path: Path, kind: Callable[[int, int], Callable[[bytearray], bytes]]
+    sound: str, tmp_path: Path, kind: Damage
 ) -> None:
     for where in [*range(200), *range(200, os.path.getsize(sound), 211)]:
-        check_start(sound, tmp_path / "damaged", kind(where, 255))
+        check_start(sound, tmp_path / "damaged", kind, where, 255)
 
 
 def change_text(path: str) -> None:
@@ -303,7 +295,7 @@ def change_text(path: str) -> None:
 
 
 def change_format(path: str) -> None:
-    damaged(path, flip(63, 3))  # as of a file without tables
+    damaged(path, lambda data: flip(data, 63, 3))  # as of a file without tables
 
 
 def no_database(path: str) -> None:
@@ -428,7 +420,7 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
     clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
-        broken = damaged(path, flip(18, 7))
+        broken = damaged(path, lambda data: flip(data, 18, 7))
         with full(disk):
             for _ in range(2):  # killed, and started again
                 file = Store(path, clock)
