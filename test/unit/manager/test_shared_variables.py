@@ -211,32 +211,28 @@ RECT: Ports = {"out": ("out", ["Rect(?c)"])}
 RECTIFIER: Ports = {"image": ("in", ["Image(?c)"]), "info": ("in", ["Info(?c)"]), **RECT}
 
 
-def test_a_nodelet_is_reconfigured_before_it_hears_another_camera(lab: Lab) -> None:
-    lab.add("rectifier", RECTIFIER)
+@pytest.mark.parametrize(
+    ("other", "source"), [("info", "/camera_right_1/info"), ("pose", "/pose_right_1/out")]
+)
+def test_ports_change_as_one_before_another_camera_is_heard(
+    lab: Lab, other: str, source: str
+) -> None:
+    """Whether the camera sent both, or the source of the poses is still there."""
+    tag = f"{other.title()}(?c)"
+    lab.add("rectifier", {"image": ("in", ["Image(?c)"]), other: ("in", [tag]), **RECT})
     image = lab.acquire("Image(?c)").claim
     rect = lab.acquire("Rect(?c)").claim
     (name,) = lab.made_from("rectifier")
     assert lab.host.nodelet(name).ports["image"].topic == image.topic
     lab.settle()
+    told = lab.host.nodelet(name).reconfigurations
     lab.lose("left")
     lab.settle()
     lab.check_bound(rect, "right")
     lab.check_bound(image, "right")
     assert lab.made_from("rectifier") == [name]
-    assert lab.host.nodelet(name).ports["image"].topic == image.topic
-
-
-def test_its_ports_change_as_one_though_one_source_is_still_there(lab: Lab) -> None:
-    lab.add("pair", {"image": ("in", ["Image(?c)"]), "pose": ("in", ["Pose(?c)"]), **RECT})
-    image = lab.acquire("Image(?c)").claim
-    rect = lab.acquire("Rect(?c)").claim
-    lab.settle()
-    told = lab.only("pair").reconfigurations
-    lab.lose("left")
-    lab.settle()
-    lab.check_bound(rect, "right")
-    assert lab.only("pair").reconfigurations == told + 2  # disconnected, and connected, as one
-    assert lab.only("pair").topics("in") == [image.topic, "/pose_right_1/out"]
+    assert lab.only("rectifier").topics("in") == [image.topic, source]
+    assert lab.only("rectifier").reconfigurations == told + 2, "disconnected, and connected"
 
 
 FOLLOWER = "/robot/follower"
