@@ -172,7 +172,7 @@ Expression = Union[str, Combined]
 
 CLASSES, INDIVIDUALS = ("A", "B", "C", "D"), ("x", "y", "z")
 #: One kind of element: the classes that it is in, and the individuals that it is.
-Kind = Tuple[FrozenSet[str], FrozenSet[str]]
+Kind = FrozenSet[str]
 Axiom = Tuple[str, Expression, Expression]
 
 
@@ -219,68 +219,48 @@ def turtle(stated: Sequence[Axiom]) -> str:
 
 
 def holds(expression: Expression, kind: Kind) -> bool:
-    """Whether an element of a kind is in a class."""
-    classes, individuals = kind
+    """Whether an element of a kind is in a class, or is an individual."""
     if isinstance(expression, str):
-        return expression in classes
-    if expression.word == "oneOf":
-        return any(each in individuals for each in expression.members)
+        return expression in kind
     together = all if expression.word == "intersectionOf" else any
     return together(holds(each, kind) for each in expression.members)
-
-
-def subsets(names: Sequence[str]) -> List[FrozenSet[str]]:
-    sizes = range(len(names) + 1)
-    return [frozenset(each) for size in sizes for each in itertools.combinations(names, size)]
 
 
 def allowed(kind: Kind, stated: Sequence[Axiom]) -> bool:
     """Whether an element of a kind contradicts nothing that is stated."""
     for word, one, other in stated:
-        if word == "a":
-            fits = one not in kind[1] or holds(other, kind)
-        elif word == "<":
-            fits = not holds(one, kind) or holds(other, kind)
-        else:
-            fits = holds(one, kind) == holds(other, kind)
-        if not fits:
+        is_one, is_other = holds(one, kind), holds(other, kind)
+        if (is_one and not is_other) or (word == "=" and is_one != is_other):
             return False
     return True
 
 
 def kinds_in_models(stated: Sequence[Axiom]) -> List[Kind]:
     """The kinds of elements that some model has, where each individual is one element."""
-    kinds = [
-        kind
-        for kind in itertools.product(subsets(CLASSES), subsets(INDIVIDUALS))
-        if allowed(kind, stated)
-    ]
-    blocks = {individuals for _, individuals in kinds if individuals}
+    names = (*CLASSES, *INDIVIDUALS)
+    subsets = (itertools.combinations(names, size) for size in range(len(names) + 1))
+    possible = map(frozenset, itertools.chain.from_iterable(subsets))
+    kinds = [kind for kind in possible if allowed(kind, stated)]
+    blocks = {kind.intersection(INDIVIDUALS) for kind in kinds}
 
     def can_be_completed(individuals: FrozenSet[str]) -> bool:
         rest = sorted(set(INDIVIDUALS) - individuals)
-        if not rest:
-            return True
-        return any(
+        return not rest or any(
             rest[0] in block and not block & individuals and can_be_completed(individuals | block)
             for block in blocks
         )
 
-    return [kind for kind in kinds if can_be_completed(kind[1])]
+    return [kind for kind in kinds if can_be_completed(kind.intersection(INDIVIDUALS))]
 
 
 def entailed(stated: Sequence[Axiom]) -> FrozenSet[Tuple[str, str]]:
     """Every subsumption and every type that holds in all models."""
     kinds = kinds_in_models(stated)
-    found = set()
-    for upper in CLASSES:
-        for lower in CLASSES:
-            if all(upper in classes for classes, _ in kinds if lower in classes):
-                found.add((lower, upper))
-        for individual in INDIVIDUALS:
-            if all(upper in classes for classes, names in kinds if individual in names):
-                found.add((individual, upper))
-    return frozenset(found)
+    return frozenset(
+        (lower, upper)
+        for lower, upper in itertools.product((*CLASSES, *INDIVIDUALS), CLASSES)
+        if all(upper in kind for kind in kinds if lower in kind)
+    )
 
 
 def claimed(stated: Sequence[Axiom], folder: Path) -> FrozenSet[Tuple[str, str]]:
