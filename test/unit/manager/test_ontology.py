@@ -207,9 +207,7 @@ def test_a_term_goes_before_a_label_in_another_language(ontology: Load) -> None:
     assert "C" not in found.names_above("both")
 
 
-def test_those_that_share_a_label_in_another_language_alone_are_named_by_their_uris(
-    ontology: Load,
-) -> None:
+def test_a_label_that_is_shared_in_another_language_alone_names_neither(ontology: Load) -> None:
     found = ontology(
         ':Rosa a owl:Class ; rdfs:label "Cobertura"@pt .\n'
         ':Nut a owl:Class ; rdfs:label "Cobertura"@pt .\n'

@@ -149,9 +149,7 @@ def test_a_nodelet_manager_that_is_killed_now_and_then_delays_no_repair(lifetime
 
 
 @pytest.mark.parametrize("is_restarted", [False, True])
-def test_a_part_that_answers_again_leaves_the_topic_to_its_successor(
-    field: Field, is_restarted: bool
-) -> None:
+def test_a_part_that_is_back_leaves_its_topic_to_another(field: Field, is_restarted: bool) -> None:
     field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
     claim = field.acquire("YUV(field)").claim
     assert claim.topic == "/mine/image"
@@ -349,12 +347,10 @@ def test_a_claim_that_is_released_during_a_repair_stays_released(field: Field) -
     field.tidy()
 
 
-def test_only_so_many_ended_claims_are_remembered(
-    field: Field, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("dyknow.manager.claims.claim_table._ENDED_KEPT", 4)
-    for _ in range(6):
-        field.reconciler.release(field.acquire().claim.claim_id)
+def test_only_so_many_ended_claims_are_remembered(field: Field) -> None:
+    with mock.patch("dyknow.manager.claims.claim_table._ENDED_KEPT", 4):
+        for _ in range(6):
+            field.reconciler.release(field.acquire().claim.claim_id)
     assert len(field.reconciler.claims()) == 4
     field.tidy()
 

@@ -65,9 +65,7 @@ def cameras(field: Field) -> List[str]:
 # Required verdicts
 
 
-def test_a_part_whose_verdict_is_false_is_replaced_and_comes_back_after_a_while(
-    field: Field,
-) -> None:
+def test_a_part_whose_verdict_is_false_is_replaced_and_may_come_back_later(field: Field) -> None:
     claim = field.acquire().claim
     field.settle()
     assert cameras(field) == ["bottom camera"]
@@ -364,9 +362,7 @@ def test_a_stream_whose_formula_is_false_goes_on_without_one_of_its_parts(field:
     assert len(field.living()) == 1 + len(own(field))
 
 
-def test_a_formula_that_turned_false_during_a_repair_counts_if_it_stays_false(
-    field: Field,
-) -> None:
+def test_a_formula_that_turned_false_in_a_repair_counts_if_it_stays_false(field: Field) -> None:
     claim = field.acquire(require=NEAR).claim
     field.settle()
     topic = monitored(field, claim)
@@ -462,9 +458,7 @@ def test_clients_share_a_topic_if_they_require_the_same(field: Field) -> None:
         ("present(it) and some ?c (it.data < 1)", BadParameter, "without 'every' and 'some'"),
     ],
 )
-def test_formulas_that_are_refused(
-    field: Field, require: str, error: type[Exception], text: str
-) -> None:
+def test_refused_formulas(field: Field, require: str, error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         field.acquire(require=require)
     assert field.living() == []

@@ -214,9 +214,7 @@ RECTIFIER: Ports = {"image": ("in", ["Image(?c)"]), "info": ("in", ["Info(?c)"])
 @pytest.mark.parametrize(
     ("other", "source"), [("info", "/camera_right_1/info"), ("pose", "/pose_right_1/out")]
 )
-def test_ports_change_as_one_before_another_camera_is_heard(
-    lab: Lab, other: str, source: str
-) -> None:
+def test_ports_change_as_one_before_another_is_heard(lab: Lab, other: str, source: str) -> None:
     """Whether the camera sent both, or the source of the poses is still there."""
     tag = f"{other.title()}(?c)"
     lab.add("rectifier", {"image": ("in", ["Image(?c)"]), other: ("in", [tag]), **RECT})
@@ -256,9 +254,7 @@ def run_follower(lab: Lab, **config: str) -> None:
 
 
 @pytest.mark.parametrize("is_other", [False, True])
-def test_an_external_node_is_remembered_over_a_restart_until_it_ends(
-    lab: Lab, is_other: bool
-) -> None:
+def test_an_external_node_is_known_over_a_restart_until_it_ends(lab: Lab, is_other: bool) -> None:
     """The manager restarts between the loss of one camera and its replacement."""
     describe_follower(lab, "Track(thing)")
     run_follower(lab)
@@ -287,9 +283,7 @@ def test_an_external_node_is_remembered_over_a_restart_until_it_ends(
 
 
 @pytest.mark.parametrize("is_lost", [True, False])
-def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
-    lab: Lab, is_lost: bool
-) -> None:
+def test_what_people_connect_to_a_claim_is_reconfigured_and_stays(lab: Lab, is_lost: bool) -> None:
     lab.add("rectifier", RECTIFIER)
     image = lab.acquire("Image(?c)").claim
     config = {"image": image.topic, "info": "/camera_left_1/info"}
@@ -376,9 +370,7 @@ def test_two_individuals_never_send_on_one_topic(lab: Lab, is_relayed: bool) -> 
 
 
 @pytest.mark.parametrize("tag", ["Ball", "Track"])
-def test_a_second_nodelet_of_a_transformation_is_replaced_beside_the_first(
-    lab: Lab, tag: str
-) -> None:
+def test_a_nodelet_is_replaced_beside_another_of_its_transformation(lab: Lab, tag: str) -> None:
     lab.add_detector()
     lab.add("tracker", {"in": ("in", ["Ball(?c)"]), "out": ("out", ["Track(?c)"])})
     pair: Ports = {"one": ("in", [f"{tag}(left)"]), "other": ("in", [f"{tag}(right)"])}

@@ -280,9 +280,7 @@ def test_a_start_with_any_damage_works(
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [flip, truncate, zero])
-def test_a_start_with_damage_at_every_place_works(
-    sound: str, tmp_path: Path, kind: Damage
-) -> None:
+def test_a_start_with_damage_at_any_place_works(sound: str, tmp_path: Path, kind: Damage) -> None:
     for where in [*range(200), *range(200, os.path.getsize(sound), 211)]:
         check_start(sound, tmp_path / "damaged", kind, where, 255)
 
@@ -414,9 +412,7 @@ def test_a_file_of_an_earlier_version_that_cannot_be_written_is_read(tmp_path: P
             assert content(file) == ROWS and "read-only" in file.trouble
 
 
-def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
-    tmp_path: Path,
-) -> None:
+def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_there(tmp_path: Path) -> None:
     clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
