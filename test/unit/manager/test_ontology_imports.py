@@ -52,15 +52,12 @@ def uri(name: str, place: str) -> str:
     return f'\n<uri id="User Entered Import Resolution" name="{name}" uri="{place}"/>'
 
 
-def write(folder: Path, files: Dict[str, str]) -> None:
+def load(folder: Path, files: Dict[str, str], *named: str, **options: Any) -> Ontology:
+    """Write files, and read those that are named."""
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-
-
-def load(folder: Path, files: Dict[str, str], *named: str, **options: Any) -> Ontology:
-    write(folder, files)
     return Ontology([str(folder / each) for each in named or ("main.ttl",)], **options)
 
 

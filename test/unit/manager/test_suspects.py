@@ -100,23 +100,6 @@ def test_one_that_cannot_be_restored_alone_ends_nobody_else(world: World) -> Non
 # Nodelets that are made for claims
 
 
-def wait_for_one_that_crashes(field: Field) -> None:
-    """Have a claim wait for a subsampler; each crashes its process when it is connected."""
-
-    def die(operation: str, argument: str) -> None:
-        record = field.manager.graph.find(argument)
-        if operation == "connect" and record is not None and record.label == "subsampler":
-            field.host.crash(record.manager, [record.name])
-            raise HostError("its process ended")
-
-    field.host.fail = die
-    field.manager.remove_transformation("subsampler")
-    with pytest.raises(NoPlanFound):
-        field.acquire()
-    field.settle()
-    field.manager.add_transformation(FIELD_LIBRARY)
-
-
 def crash_subsampler(field: Field, times: int = 1) -> None:
     for _ in range(times):
         field.settle()
@@ -142,15 +125,26 @@ def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> N
 
 
 def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() -> None:
+    """A claim waits for a subsampler; each crashes its process when it is connected."""
     field = Field()
-    ports = "in yuv,out planes"
-    spare = transformation(
-        "spare", "soccer/Spare", ports, "yuv YUV(?where);planes Planes(field)", 9
-    )
-    field.host.sources["soccer/Spare"] = field.host.sources["soccer/Subsampler"]
-    wait_for_one_that_crashes(field)
+
+    def die(operation: str, argument: str) -> None:
+        record = field.manager.graph.find(argument)
+        if operation == "connect" and record is not None and record.label == "subsampler":
+            field.host.crash(record.manager, [record.name])
+            raise HostError("its process ended")
+
+    field.host.fail = die
+    field.manager.remove_transformation("subsampler")
+    with pytest.raises(NoPlanFound):
+        field.acquire()
+    field.settle()
+    field.manager.add_transformation(FIELD_LIBRARY)
     field.settle(2.0)
-    field.manager.add_transformation(f"<transformations>{spare}</transformations>")
+    field.host.sources["soccer/Spare"] = field.host.sources["soccer/Subsampler"]
+    tags = "yuv YUV(?where);planes Planes(field)"
+    spare = transformation("spare", "soccer/Spare", "in yuv,out planes", tags, 9)
+    field.manager.add_transformation(spare)
     field.settle(60.0)
     field.tidy()
     (claim,) = field.living()
