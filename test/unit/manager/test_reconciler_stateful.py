@@ -105,11 +105,8 @@ class Claims(FaultyLife):
     @rule(number=NUMBERS)
     def protect(self, number: int) -> None:
         name = self.any_nodelet(number)
-        try:
-            self.field.manager.set_protection(name, True)
-            self.protected.add(name)
-        except DyKnowError:
-            return
+        self.protected.add(name)
+        self.asked(lambda: self.field.manager.set_protection(name, True))
 
     @rule(label=LABELS)
     def remove_transformation(self, label: str) -> None:

@@ -140,13 +140,7 @@ IMAGE = f'<transformation>{SOURCE}<ports><port type="in">in</port></ports>'
             f"""{IMAGE}<tags><tag port="in">Image(?camera)</tag>
             <tag port="in">http://dyknow.example.org/soccer#Ball</tag>
             <tag port="in">Image(camera</tag></tags></transformation>""",
-            [
-                (
-                    3,
-                    "the tag 'Image(camera' is passed over by the planner: "
-                    "expected Functor or Functor(arg, …)",
-                )
-            ],
+            [(3, "the tag 'Image(camera' is passed over by the planner: expected Functor or")],
         ),
     ],
 )

@@ -5,6 +5,7 @@
 
 from itertools import product
 from math import prod
+from xml.sax.saxutils import escape
 
 import pytest
 from hypothesis import given
@@ -42,9 +43,6 @@ class Concepts(NoOntology):
 
 
 def template(label, args, extra=""):
-    def escape(text):
-        return text.replace("&", "&amp;").replace("<", "&lt;")
-
     written = "".join(f'<arg label="{n}">{escape(terms)}</arg>' for n, terms in args.items())
     return (
         f"<transformation><label>{label}</label><source>p/A</source>"
