@@ -98,10 +98,7 @@ def test_a_new_specification_and_new_code_are_shown_and_taken(world: World) -> N
 
 def test_a_library_in_cpp_is_loaded_again_by_a_new_process_alone(world: World) -> None:
     world.host.stock = False
-    world.host.sources = {
-        **world.host.sources,
-        "pkg/Native": [("image", "in", IMAGE), ("~out", "out", IMAGE)],
-    }
+    world.host.sources["pkg/Native"] = [("image", "in", IMAGE), ("~out", "out", IMAGE)]
     world.host.code["pkg/Native"] = "old"
     world.spawn("native", "one")
     world.host.code["pkg/Native"] = "new"
@@ -126,7 +123,7 @@ def test_a_library_in_cpp_is_loaded_again_by_a_new_process_alone(world: World) -
 def test_ports_that_are_gone_are_told(world: World) -> None:
     world.spawn("relay", "slow", config={"in": "/a", "out": "/b"})
     world.manager.add_transformation(RELAY.replace('<port type="in">in</port>', ""))
-    world.host.sources = {**world.host.sources, "pkg/Relay": [("out", "out", IMAGE)]}
+    world.host.sources["pkg/Relay"] = [("out", "out", IMAGE)]
     done = world.manager.restart("slow")
     assert done.remarks == "port 'in' of /slow is gone, and its connection to /a with it"
     assert dict(world.manager.graph.get("/slow").topics) == {"out": "/b"}
@@ -317,7 +314,7 @@ def test_a_name_that_is_taken_meanwhile_is_no_success(front: World) -> None:
 def test_a_late_load_of_a_new_specification_gives_way_to_the_former_one(
     front: World, is_seen_late: bool
 ) -> None:
-    front.host.sources = {**front.host.sources, "pkg/New": front.host.sources["pkg/Camera"]}
+    front.host.sources["pkg/New"] = front.host.sources["pkg/Camera"]
     new = CAMERA.replace("pkg/Camera", "pkg/New").replace('name="rate"', 'name="hz"')
     front.manager.add_transformation(new)
 

@@ -145,11 +145,11 @@ class Truth(FaultyLife):
         self.witness.signed[source] = {name: tags for name, (_, tags) in named.items()}
         text = specification(label, source, named, cost, TYPE)
         if is_filled:
-            texts = [f"${{{each}}}" for each in sorted(variables)]
-            lines = [
-                f'<param name="p{n}" type="string">{each}</param>' for n, each in enumerate(texts)
-            ]
-            text = text.replace("<ports>", f"<params>{''.join(lines)}</params><ports>")
+            params = "".join(
+                f'<param name="{each[1:]}" type="string">${{{each}}}</param>'
+                for each in sorted(variables)
+            )
+            text = text.replace("<ports>", f"<params>{params}</params><ports>")
         self.field.manager.add_transformation(text)
         self.witness.described.pop(label, None)
         self.witness.excuse()
