@@ -156,7 +156,7 @@ def test_what_others_made_is_not_restarted(front: World) -> None:
     for name, why in (
         ("/external", "where it was started"),
         ("/driver", "where it was started"),
-        (manager, "/theirs"),
+        (manager, "runs /theirs, which this manager did not make"),
     ):
         with pytest.raises(HostError, match=why):
             front.manager.restart(name)
