@@ -70,11 +70,7 @@ def test_a_script_runs_beside_nodelets(world: World) -> None:
     camera = world.spawn("camera", "/camera")
     made = world.spawn("script", "/filter", config={"words": "/a"})
 
-    assert (made.kind, made.manager, made.isolated) == (
-        NodeletKind.SCRIPT,
-        camera.manager,
-        False,
-    )
+    assert (made.kind, made.manager, made.isolated) == (NodeletKind.SCRIPT, camera.manager, False)
     request = world.host.nodelet("/filter").request
     assert (request.source, request.kind) == (SCRIPT, NodeletKind.SCRIPT)
     assert request.remappings == {"/words": "/a", "/copy": "/filter/disconnected/copy"}

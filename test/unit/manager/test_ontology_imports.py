@@ -10,16 +10,12 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
+from unit.manager.test_ontology import BASE, FIRST_LINE, PREFIXES
 
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.ontology import Ontology
 
-PREFIXES = """\
-@prefix : <http://example.org/#> .
-@prefix owl: <http://www.w3.org/2002/07/owl#> .
-@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
-"""
 CATALOGUE = "catalog-v001.xml"
 NAMESPACE = 'xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog"'
 
@@ -52,21 +48,18 @@ def uri(name: str, place: str) -> str:
     return f'\n<uri id="User Entered Import Resolution" name="{name}" uri="{place}"/>'
 
 
-def write(folder: Path, files: Dict[str, str]) -> None:
+def load(folder: Path, files: Dict[str, str], *named: str, **options: Any) -> Ontology:
+    """Write files, and read those that are named."""
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-
-
-def load(folder: Path, files: Dict[str, str], *named: str, **options: Any) -> Ontology:
-    write(folder, files)
     return Ontology([str(folder / each) for each in named or ("main.ttl",)], **options)
 
 
 def classes(found: Ontology, *names: str) -> List[str]:
     """Those of the names that the ontology knows."""
-    return [name for name in names if found.canonical(name) == f"http://example.org/#{name}"]
+    return [name for name in names if found.canonical(name) == BASE + name]
 
 
 #: As Protégé writes it.
@@ -103,7 +96,7 @@ def test_the_catalogue_beside_the_file_is_asked(tmp_path: Path) -> None:
         },
     )
 
-    assert found.individuals("http://example.org/#d") == ("x",)
+    assert found.individuals(BASE + "d") == ("x",)
     assert classes(found, "e") == ["e"], "the longest prefix counts"
     assert found.warnings == ()
 
@@ -172,7 +165,7 @@ def test_circles_of_imports_are_read_once(tmp_path: Path) -> None:
     )
 
     assert [each.message for each in found.warnings] == [
-        "a class expression in the description of <http://example.org/#a> is not read"
+        f"a class expression in the description of <{BASE}a> is not read"
     ]
 
 
@@ -196,7 +189,7 @@ def test_an_import_that_is_nowhere_is_told(tmp_path: Path) -> None:
             f"owl:imports of <{each}> is not followed: no file that was named is this ontology, "
             "and no catalogue names a local file for it",
         )
-        for line, each in enumerate(nowhere, 5)
+        for line, each in enumerate(nowhere, FIRST_LINE + 1)
     ]
 
 

@@ -105,11 +105,8 @@ class Claims(FaultyLife):
     @rule(number=NUMBERS)
     def protect(self, number: int) -> None:
         name = self.any_nodelet(number)
-        try:
-            self.field.manager.set_protection(name, True)
-            self.protected.add(name)
-        except DyKnowError:
-            return
+        self.protected.add(name)
+        self.asked(lambda: self.field.manager.set_protection(name, True))
 
     @rule(label=LABELS)
     def remove_transformation(self, label: str) -> None:
@@ -124,8 +121,7 @@ class Claims(FaultyLife):
     @precondition(lambda self: self.field.host.followed)
     @rule(number=NUMBERS, is_true=st.booleans())
     def decide(self, number: int, is_true: bool) -> None:
-        topics = sorted(self.field.host.followed)
-        self.field.host.decide(topics[number % len(topics)], is_true)
+        self.field.host.decide(self.any_of(sorted(self.field.host.followed), number), is_true)
 
     @rule(kind=TYPES, silent=st.booleans())
     def silence(self, kind: str, silent: bool) -> None:

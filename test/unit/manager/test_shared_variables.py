@@ -13,6 +13,7 @@ from unit.manager.field import IMAGE, RELAY, Field, Ports
 from unit.manager.witness import Concepts, Witness
 
 from dyknow.errors import InvalidTag, NoPlanFound
+from dyknow.manager.claim import Claim
 from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind
@@ -72,6 +73,12 @@ class Lab(Field):
         (name,) = self.made_from(label)
         return self.host.nodelet(name)
 
+    def check_bound(self, claim: Claim, name: str) -> None:
+        """A claim is whole, on its topic, and its variable stands for a name."""
+        now = self.claim(claim.claim_id)
+        assert (now.state, now.topic) == (ClaimState.ACTIVE, claim.topic)
+        assert now.bindings == (("?c", name),)
+
     def lose(self, name: str) -> None:
         """Remove a camera and its transformation."""
         self.manager.remove_transformation(f"camera {name}")
@@ -109,15 +116,10 @@ def test_a_filled_nodelet_is_replaced_for_another_binding_and_the_event_says_so(
     assert lab.manager.graph.get(claim.goal[0]).status.parameters == given
     lab.manager.remove_transformation("camera left")
     lab.settle(20.0)
-    now = lab.claim(claim.claim_id)
-    assert (now.state, now.bindings, now.topic) == (
-        ClaimState.ACTIVE,
-        (("?c", "right"),),
-        claim.topic,
-    )
-    assert now.goal[0] != claim.goal[0]
-    assert lab.made_from("detector") == [now.goal[0]]
-    assert lab.host.parameters == {f"{now.goal[0]}/frame": "right_link"}
+    lab.check_bound(claim, "right")
+    (detector,) = lab.made_from("detector")
+    assert detector == lab.claim(claim.claim_id).goal[0] != claim.goal[0]
+    assert lab.host.parameters == {f"{detector}/frame": "right_link"}
     assert any("?c=right from now on" in each for each in lab.reasons())
     lab.tidy()
 
@@ -198,8 +200,7 @@ def test_a_claim_follows_when_people_connect_its_source_elsewhere(lab: Lab) -> N
     lab.host.connect("/hand", {"image": "/right"})
     lab.manager.look()
     lab.settle()
-    now = lab.claim(claim.claim_id)
-    assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))
+    lab.check_bound(claim, "right")
     assert any("?c=right from now on" in each for each in lab.reasons())
 
 
@@ -210,84 +211,79 @@ RECT: Ports = {"out": ("out", ["Rect(?c)"])}
 RECTIFIER: Ports = {"image": ("in", ["Image(?c)"]), "info": ("in", ["Info(?c)"]), **RECT}
 
 
-def test_a_nodelet_is_reconfigured_before_it_hears_another_camera(lab: Lab) -> None:
-    lab.add("rectifier", RECTIFIER)
+@pytest.mark.parametrize(
+    ("other", "source"), [("info", "/camera_right_1/info"), ("pose", "/pose_right_1/out")]
+)
+def test_ports_change_as_one_before_another_is_heard(lab: Lab, other: str, source: str) -> None:
+    """Whether the camera sent both, or the source of the poses is still there."""
+    tag = f"{other.title()}(?c)"
+    lab.add("rectifier", {"image": ("in", ["Image(?c)"]), other: ("in", [tag]), **RECT})
     image = lab.acquire("Image(?c)").claim
     rect = lab.acquire("Rect(?c)").claim
     (name,) = lab.made_from("rectifier")
     assert lab.host.nodelet(name).ports["image"].topic == image.topic
     lab.settle()
+    told = lab.host.nodelet(name).reconfigurations
     lab.lose("left")
     lab.settle()
-    assert lab.claim(rect.claim_id).bindings == (("?c", "right"),)
-    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
+    lab.check_bound(rect, "right")
+    lab.check_bound(image, "right")
     assert lab.made_from("rectifier") == [name]
-    assert lab.host.nodelet(name).ports["image"].topic == image.topic
+    assert lab.only("rectifier").topics("in") == [image.topic, source]
+    assert lab.only("rectifier").reconfigurations == told + 2, "disconnected, and connected"
 
 
-def test_its_ports_change_as_one_though_one_source_is_still_there(lab: Lab) -> None:
-    lab.add("pair", {"image": ("in", ["Image(?c)"]), "pose": ("in", ["Pose(?c)"]), **RECT})
-    image = lab.acquire("Image(?c)").claim
-    rect = lab.acquire("Rect(?c)").claim
-    lab.settle()
-    told = lab.only("pair").reconfigurations
-    lab.lose("left")
-    lab.settle()
-    assert lab.claim(rect.claim_id).bindings == (("?c", "right"),)
-    assert lab.only("pair").reconfigurations == told + 2  # disconnected, and connected, as one
-    assert lab.only("pair").topics("in") == [image.topic, "/pose_right_1/out"]
+FOLLOWER = "/robot/follower"
 
 
-FOLLOWER = """<transformation type="node" node="/robot/follower"><label>follower</label>
-  <ports><port type="in">image</port><port type="out">out</port></ports>
-  <tags><tag port="image">Image(?c)</tag><tag port="out">Track(thing)</tag></tags>
-</transformation>"""
+def describe_follower(lab: Lab, sent: str) -> None:
+    """Describe a node of users that receives the images of one camera."""
+    lab.host.sources[FOLLOWER] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
+    lab.witness.signed[FOLLOWER] = {"image": ("Image(?c)",), "out": (sent,)}
+    lab.witness.given = lambda name: {}
+    lab.manager.add_transformation(
+        f'<transformation type="node" node="{FOLLOWER}"><label>follower</label>'
+        '<ports><port type="in">image</port><port type="out">out</port></ports><tags>'
+        f'<tag port="image">Image(?c)</tag><tag port="out">{sent}</tag></tags></transformation>'
+    )
+
+
+def run_follower(lab: Lab, **config: str) -> None:
+    lab.host.run_node(FOLLOWER, FOLLOWER, config, NodeletKind.CPP_NODE)
+    lab.by_hand[FOLLOWER] = True
 
 
 @pytest.mark.parametrize("is_other", [False, True])
-def test_an_external_node_is_remembered_over_a_restart_until_it_ends(
-    lab: Lab, is_other: bool
-) -> None:
+def test_an_external_node_is_known_over_a_restart_until_it_ends(lab: Lab, is_other: bool) -> None:
     """The manager restarts between the loss of one camera and its replacement."""
-    host = lab.host
-    host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
-    lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(thing)",)}
-    lab.witness.given = lambda name: {}
-    lab.manager.add_transformation(FOLLOWER)
-
-    def run() -> None:
-        host.run_node("/robot/follower", "robot/follower", {}, NodeletKind.CPP_NODE)
-        lab.by_hand["/robot/follower"] = True
-
-    run()
+    describe_follower(lab, "Track(thing)")
+    run_follower(lab)
     lab.manager.look()
     track = lab.acquire("Track(thing)").claim
     lab.settle()
-    heard = lab.manager.graph.get("/robot/follower").heard
+    heard = lab.manager.graph.get(FOLLOWER).heard
     assert heard.ways == ((("?c", "left"),),)
     lab.manager.remove_transformation("camera right")
     lab.lose("left")
     lab.settle(20.0)
     assert lab.state(track.claim_id) is ClaimState.PENDING
     if is_other:  # another process of that name, which has received nothing
-        run()
+        run_follower(lab)
         lab.kill_manager()
-        assert lab.manager.graph.get("/robot/follower").heard.ways == ()
+        assert lab.manager.graph.get(FOLLOWER).heard.ways == ()
         assert lab.store.read("nodelets", Record.from_body) == {}
         return
     lab.kill_manager()
-    assert lab.manager.graph.get("/robot/follower").heard == heard
-    told = host.nodelet("/robot/follower").reconfigurations
+    assert lab.manager.graph.get(FOLLOWER).heard == heard
+    told = lab.host.nodelet(FOLLOWER).reconfigurations
     lab.add("camera right", camera("right"))
     lab.settle()
     assert lab.state(track.claim_id) is ClaimState.ACTIVE
-    assert host.nodelet("/robot/follower").reconfigurations > told
+    assert lab.host.nodelet(FOLLOWER).reconfigurations > told
 
 
 @pytest.mark.parametrize("is_lost", [True, False])
-def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
-    lab: Lab, is_lost: bool
-) -> None:
+def test_what_people_connect_to_a_claim_is_reconfigured_and_stays(lab: Lab, is_lost: bool) -> None:
     lab.add("rectifier", RECTIFIER)
     image = lab.acquire("Image(?c)").claim
     config = {"image": image.topic, "info": "/camera_left_1/info"}
@@ -304,7 +300,7 @@ def test_what_people_connected_to_a_claim_is_reconfigured_and_stays(
         lab.manager.remove_transformation("camera left")
         lab.manager.look()
     lab.settle()
-    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
+    lab.check_bound(image, "right")
     mine = lab.host.nodelet("/mine")
     assert {name: port.topic for name, port in mine.ports.items() if name in config} == config
     assert mine.reconfigurations == told + 2
@@ -328,8 +324,7 @@ def test_users_of_what_people_exchange_are_reconfigured(lab: Lab) -> None:
     assert lab.witness.confused == {"/rectifier_1"}
     lab.settle()
     assert lab.only("rectifier").reconfigurations > told
-    now = lab.claim(rect.claim_id)
-    assert (now.state, now.bindings) == (ClaimState.ACTIVE, (("?c", "right"),))
+    lab.check_bound(rect, "right")
     assert lab.only("rectifier").topics("in") == ["/image", "/info"]
 
 
@@ -346,7 +341,7 @@ def test_one_that_does_not_answer_holds_up_no_repair_and_is_reconfigured_later(l
     lab.lose("left")
     lab.tick(3.0)
     lab.tick(3.0)
-    assert lab.claim(image.claim_id).bindings == (("?c", "right"),)
+    lab.check_bound(image, "right")
     told = lab.host.nodelet("/mine").reconfigurations
     lab.host.mend("/far")
     lab.witness.guilt.clear()
@@ -370,14 +365,12 @@ def test_two_individuals_never_send_on_one_topic(lab: Lab, is_relayed: bool) -> 
     lab.host.on_change = look
     lab.manager.remove_transformation("camera left")
     lab.settle()
-    assert lab.claim(claim.claim_id).bindings == (("?c", "right"),)
+    lab.check_bound(claim, "right")
     assert max(map(len, seen)) == 1
 
 
 @pytest.mark.parametrize("tag", ["Ball", "Track"])
-def test_a_second_nodelet_of_a_transformation_is_replaced_beside_the_first(
-    lab: Lab, tag: str
-) -> None:
+def test_a_nodelet_is_replaced_beside_another_of_its_transformation(lab: Lab, tag: str) -> None:
     lab.add_detector()
     lab.add("tracker", {"in": ("in", ["Ball(?c)"]), "out": ("out", ["Track(?c)"])})
     pair: Ports = {"one": ("in", [f"{tag}(left)"]), "other": ("in", [f"{tag}(right)"])}
@@ -396,17 +389,11 @@ def test_a_second_nodelet_of_a_transformation_is_replaced_beside_the_first(
 
 
 def test_an_external_node_that_a_stream_needs_twice_leaves_its_claim_pending(lab: Lab) -> None:
-    host = lab.host
-    host.sources["robot/follower"] = [("image", "in", IMAGE), ("out", "out", IMAGE)]
-    lab.witness.signed["robot/follower"] = {"image": ("Image(?c)",), "out": ("Track(?c)",)}
-    lab.witness.given = lambda name: {}
-    lab.manager.add_transformation(FOLLOWER.replace("Track(thing)", "Track(?c)"))
+    describe_follower(lab, "Track(?c)")
     pair: Ports = {"one": ("in", ["Track(left)"]), "other": ("in", ["Track(right)"])}
     lab.add("stereo", {**pair, "out": ("out", ["Stereo(ball)"])})
     lab.spawn("camera left", "/left", config={"out": "/left/image"})
-    config = {"image": "/left/image", "out": "/track"}
-    host.run_node("/robot/follower", "robot/follower", config, NodeletKind.CPP_NODE)
-    lab.by_hand["/robot/follower"] = True
+    run_follower(lab, image="/left/image", out="/track")
     lab.manager.look()
     with pytest.raises(NoPlanFound) as refusal:
         lab.acquire("Stereo(ball)")

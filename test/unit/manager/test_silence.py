@@ -66,9 +66,7 @@ def test_a_bad_network_makes_no_part_silent(field: Field, is_lossy: bool) -> Non
 
 
 @pytest.mark.parametrize("service", [1.0, 7.0])
-def test_two_that_fall_silent_in_turns_replace_each_other_at_once(
-    field: Field, service: float
-) -> None:
+def test_two_silent_in_turns_replace_each_other_at_once(field: Field, service: float) -> None:
     """A part that has served between two failures is paused no longer than it has served."""
     claim = field.acquire("YUV(field)", max_silence=1.0).claim
     field.settle(10.0)

@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import os
 import resource
 import shutil
 import sqlite3
 import stat
-import subprocess
-import sys
 from pathlib import Path
-from typing import Callable, ContextManager, Dict, Iterator
+from typing import Callable, ContextManager, Dict, Iterator, Tuple
 
 import pytest
 from clocks import HandClock
@@ -27,7 +26,6 @@ from unit.manager.world import CAMERA, World
 
 from dyknow.errors import StoreError
 from dyknow.manager import store as store_module
-from dyknow.manager.graph import Graph
 from dyknow.manager.store import TABLES, Store
 
 #: Enough to fill several pages, some of them overflowing.
@@ -65,49 +63,19 @@ def reopened(path: str) -> Dict[tuple[str, str], str]:
         file.close()
 
 
-# Trouble: the file is sound
-
-#: Opens a file while no file may be longer than a limit, writes, and goes on without the limit.
-LIMITED = """
-import resource, sys
-from dyknow.manager.store import Store
-limit, path, clock = int(sys.argv[1]), sys.argv[2], [0.0]
-resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-store = Store(path, lambda: clock[0])
-found = len(store.read("nodelets", lambda key, text: text))
-store.write({("claims", "c"): "of a client"})
-assert "size limit" in store.remark and "damaged" not in store.remark, store.remark
-resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-clock[0] += 10.0
-store.write_pending()
-assert (store.trouble, store.complaint) == ("", ""), (store.trouble, store.complaint)
-print(found)
-"""
-
-
-@pytest.mark.parametrize("limit", [0, 50, 4096])
-@pytest.mark.parametrize("before", ["none", "killed", "closed"])
-def test_a_disk_that_takes_nothing_from_the_beginning_on(
-    tmp_path: Path, limit: int, before: str
-) -> None:
-    path = str(tmp_path / "state")
-    if before == "closed":
-        written(path)
-    if before == "killed":
-        file = Store(path)
-        file.write(ROWS)
+@contextlib.contextmanager
+def killed(path: str) -> Iterator[Store]:
+    """A store whose process is killed: its last changes are in its log alone."""
+    with contextlib.closing(Store(path)) as file:
+        yield file
         for suffix in ("", "-wal"):
             shutil.copyfile(path + suffix, path + suffix + ".kept")
-        file.close()
-        for suffix in ("", "-wal"):
-            os.replace(path + suffix + ".kept", path + suffix)
-        Path(path + ".backup").unlink()
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, str(limit), path], check=True, stdout=subprocess.PIPE
-    )
-    rows = {} if before == "none" else ROWS
-    assert int(done.stdout) == len(rows)
-    assert reopened(path) == {**rows, **CLAIM}
+    for suffix in ("", "-wal"):
+        os.replace(path + suffix + ".kept", path + suffix)
+    os.remove(path + ".backup")  # which was made at the end
+
+
+# Trouble: the file is sound
 
 
 def test_a_disk_that_fills_up_is_named_and_what_it_did_not_take_is_written_later(
@@ -169,48 +137,55 @@ def test_a_trouble_that_goes_on_is_reported_from_time_to_time(
 
 
 @contextlib.contextmanager
-def no_growth(path: str) -> Iterator[None]:
-    """Let this process write to no file."""
+def limited(size: int) -> Iterator[None]:
+    """Let this process write to no file beyond a size."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-TROUBLES: Dict[str, Callable[[str], ContextManager[None]]] = {
-    "disk": lambda path: full(Path(path).parent),
-    "input/output": no_growth,
-    "locked by another program": locked,
-    "read-only": lambda path: read_only(Path(path).parent),
+Trouble = Callable[[str], ContextManager[None]]
+TROUBLES: Dict[str, Tuple[str, Trouble]] = {
+    "full": ("disk", lambda path: full(Path(path).parent)),
+    "of no size": ("input/output", lambda path: limited(0)),
+    "of 50 bytes": ("input/output", lambda path: limited(50)),
+    "of 4 kB": ("input/output", lambda path: limited(4096)),
+    "locked": ("locked by another program", locked),
+    "read-only": ("read-only", lambda path: read_only(Path(path).parent)),
 }
 
 
 @pytest.mark.parametrize(
-    ("cause", "killed"),
+    ("trouble", "before"),
     [
-        *((cause, False) for cause in TROUBLES),
-        # Where no file can be written, a log is not read either: that takes a copy.
-        *((cause, True) for cause in TROUBLES if cause != "input/output"),
+        *itertools.product(TROUBLES, ["killed", "closed"]),
+        *((each, "none") for each in TROUBLES if each != "locked"),
     ],
 )
 def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str, killed: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: str, before: str
 ) -> None:
     monkeypatch.setattr(store_module, "_START_PATIENCE", 0.1)
-    clock = HandClock()
-    with small_disk(tmp_path / "disk") as disk:
-        path = written(str(disk / "state"))
-        if killed:  # the last rows are still in the log beside the file
-            leave_log(path)
+    clock, (cause, happens) = HandClock(), TROUBLES[trouble]
+    rows = {} if before == "none" else ROWS
+    is_small = trouble == "full"  # a mount, which not every machine permits
+    with small_disk(tmp_path / "d") if is_small else contextlib.nullcontext(tmp_path) as folder:
+        path = str(folder / "state")
+        if before == "closed":
+            written(path)
+        if before == "killed":
+            with killed(path) as file:
+                file.write(ROWS)
             assert os.path.getsize(path + "-wal") > 0
-        with TROUBLES[cause](path):
+        with happens(path):
             file = Store(path, clock)
-            assert content(file) == ROWS
+            assert content(file) == rows
             assert cause in file.trouble and file.complaint == ""
             file.write(CLAIM)
-            assert content(file) == {**ROWS, **CLAIM}
+            assert content(file) == {**rows, **CLAIM}
             clock.time += 10
             file.write_pending()
             assert file.trouble
@@ -218,20 +193,8 @@ def test_a_start_with_a_sound_file_that_cannot_be_written_reads_it_and_writes_it
         file.write_pending()
         assert file.trouble == ""
         file.close()
-        assert reopened(path) == {**ROWS, **CLAIM}
+        assert reopened(path) == {**rows, **CLAIM}
         assert kept_aside(path) == []
-
-
-def leave_log(path: str) -> None:
-    """Write the rows as a process that is killed right afterwards would."""
-    os.remove(path)
-    code = (
-        "import os, sys; from unit.manager.test_state_file import *;"
-        f"file = Store({path!r}); file.write(ROWS); os._exit(9)"
-    )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", code], check=False, env=environment)
-    assert done.returncode == 9
 
 
 def test_what_cannot_be_read_at_all_is_an_error_and_stays(tmp_path: Path) -> None:
@@ -256,26 +219,23 @@ def damaged(path: str, damage: Callable[[bytearray], bytes]) -> bytes:
     return broken
 
 
-def flip(where: int, bits: int) -> Callable[[bytearray], bytes]:
-    def damage(data: bytearray) -> bytes:
-        data[where % len(data)] ^= bits
-        return data
-
-    return damage
+def flip(data: bytearray, where: int, bits: int) -> bytes:
+    data[where % len(data)] ^= bits
+    return data
 
 
-def truncate(where: int, unused: int) -> Callable[[bytearray], bytes]:
-    return lambda data: data[: where % len(data)]
+def truncate(data: bytearray, where: int, unused: int) -> bytes:
+    return data[: where % len(data)]
 
 
-def zero(where: int, count: int) -> Callable[[bytearray], bytes]:
-    def damage(data: bytearray) -> bytes:
-        begin = where % len(data)
-        end = min(len(data), begin + 16 * count)
-        data[begin:end] = bytes(end - begin)
-        return data
+def zero(data: bytearray, where: int, count: int) -> bytes:
+    begin = where % len(data)
+    end = min(len(data), begin + 16 * count)
+    data[begin:end] = bytes(end - begin)
+    return data
 
-    return damage
+
+Damage = Callable[[bytearray, int, int], bytes]
 
 
 @pytest.fixture(scope="module")
@@ -283,7 +243,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> str:
     return written(str(tmp_path_factory.mktemp("sound") / "state"), SOUND)
 
 
-def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) -> None:
+def check_start(sound: str, folder: Path, damage: Damage, where: int, extent: int) -> None:
     """Start with a damaged file and no backup: nothing is raised, and the next file works.
 
     All rows are read, or none are and a complaint says so.
@@ -292,7 +252,7 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
     folder.mkdir()
     path = str(folder / "state")
     shutil.copyfile(sound, path)
-    broken = damaged(path, damage)
+    broken = damaged(path, lambda data: damage(data, where, extent))
     file = Store(path)
     found = content(file)
     assert file.trouble == ""
@@ -314,23 +274,16 @@ def check_start(sound: str, folder: Path, damage: Callable[[bytearray], bytes]) 
 @example(truncate, 1, 1)
 @example(zero, 0, 255)
 def test_a_start_with_any_damage_works(
-    sound: str,
-    tmp_path_factory: pytest.TempPathFactory,
-    kind: Callable[[int, int], Callable[[bytearray], bytes]],
-    where: int,
-    extent: int,
+    sound: str, tmp_path_factory: pytest.TempPathFactory, kind: Damage, where: int, extent: int
 ) -> None:
-    folder = tmp_path_factory.getbasetemp() / "damaged"
-    check_start(sound, folder, kind(where, extent))
+    check_start(sound, tmp_path_factory.getbasetemp() / "damaged", kind, where, extent)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [flip, truncate, zero])
-def test_a_start_with_damage_at_every_place_works(
-    sound: str, tmp_path: Path, kind: Callable[[int, int], Callable[[bytearray], bytes]]
-) -> None:
+def test_a_start_with_damage_at_any_place_works(sound: str, tmp_path: Path, kind: Damage) -> None:
     for where in [*range(200), *range(200, os.path.getsize(sound), 211)]:
-        check_start(sound, tmp_path / "damaged", kind(where, 255))
+        check_start(sound, tmp_path / "damaged", kind, where, 255)
 
 
 def change_text(path: str) -> None:
@@ -341,7 +294,7 @@ def change_text(path: str) -> None:
 
 
 def change_format(path: str) -> None:
-    damaged(path, flip(63, 3))  # as of a file without tables
+    damaged(path, lambda data: flip(data, 63, 3))  # as of a file without tables
 
 
 def no_database(path: str) -> None:
@@ -367,22 +320,15 @@ def test_a_backup_takes_the_place_of_a_damaged_file(
     assert reopened(path) == {**ROWS, **CLAIM}
 
 
-def test_a_damaged_backup_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", [change_text, os.remove])
+def test_a_backup_that_is_damaged_or_away_is_left_out(
+    tmp_path: Path, damage: Callable[[str], None]
+) -> None:
+    """One is away when the manager was killed between the two renames of a backup."""
     path = written(str(tmp_path / "state"))
     written(path, CLAIM)
-    change_text(path + ".backup")
+    damage(path + ".backup")
     change_text(path)
-    file = Store(path)
-    assert content(file) == ROWS
-    assert f"'{path}.backup-2'" in file.complaint
-    file.close()
-
-
-def test_a_backup_that_is_away_is_left_out(tmp_path: Path) -> None:
-    """As when the manager is killed between the two renames of a backup."""
-    path = written(str(tmp_path / "state"))
-    os.replace(path + ".backup", path + ".backup-2")
-    Path(path).write_text("x")
     file = Store(path)
     assert content(file) == ROWS
     assert f"'{path}.backup-2'" in file.complaint
@@ -467,13 +413,11 @@ def test_a_file_of_an_earlier_version_that_cannot_be_written_is_read(tmp_path: P
             assert content(file) == ROWS and "read-only" in file.trouble
 
 
-def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
-    tmp_path: Path,
-) -> None:
+def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_there(tmp_path: Path) -> None:
     clock = HandClock()
     with small_disk(tmp_path / "disk") as disk:
         path = written(str(disk / "state"))
-        broken = damaged(path, flip(18, 7))
+        broken = damaged(path, lambda data: flip(data, 18, 7))
         with full(disk):
             for _ in range(2):  # killed, and started again
                 file = Store(path, clock)
@@ -488,51 +432,29 @@ def test_a_damaged_file_on_a_full_disk_stays_until_its_successor_is_complete(
         assert reopened(path) == {**ROWS, **CLAIM}
 
 
-def test_the_revision_does_not_go_back_with_a_backup(tmp_path):
-    """The backup was made before the last block of revisions was reserved."""
-    path, earlier = tmp_path / "state", tmp_path / "earlier"
-    for _ in range(2):
-        if path.exists():
-            shutil.copyfile(path, earlier)
-        with contextlib.closing(Store(str(path))) as store:
-            shown = Graph(store).revision
-    path.write_bytes(b"cut off")
-    os.replace(earlier, tmp_path / "state.backup")
-    with contextlib.closing(Store(str(path))) as store:
-        assert store.complaint and Graph(store).revision > shown
-
-
 @pytest.mark.parametrize("renames", range(4))
 def test_a_kill_while_the_file_is_replaced_goes_back_to_no_older_state(
-    tmp_path, monkeypatch, renames
-):
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, renames: int
+) -> None:
     """The last changes of the old file are in its log alone."""
     path = str(tmp_path / "state")
-    first = subprocess.run([sys.executable, "-c", _KILLED, path], check=False)
-    assert first.returncode == 9 and os.path.getsize(path + "-wal")
+    with killed(path) as store:
+        store.write({("facts", "revision"): "1"})
+        with contextlib.closing(sqlite3.connect(path)) as other:
+            other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        store.write({("facts", "revision"): "2"})
     left = iter(range(renames))
 
     def replace(source, target, rename=os.replace):
         next(left)
         rename(source, target)
 
-    with monkeypatch.context() as killed, contextlib.suppress(StopIteration):
-        killed.setattr(store_module.os, "replace", replace)
+    with monkeypatch.context() as patched, contextlib.suppress(StopIteration):
+        patched.setattr(store_module.os, "replace", replace)
         store_module._replace(path, {("facts", "revision"): "2"})
     with contextlib.closing(Store(path)) as store:
         assert store.number("revision") == 2
     assert not os.path.exists(path + ".new") or not renames
-
-
-_KILLED = """
-import os, sys
-from dyknow.manager.store import Store
-store = Store(sys.argv[1])
-store.write({("facts", "revision"): "1"})
-store._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-store.write({("facts", "revision"): "2"})
-os._exit(9)
-"""
 
 
 def test_a_replacement_that_was_interrupted_is_completed(tmp_path: Path) -> None:
@@ -553,15 +475,18 @@ def test_a_file_that_is_damaged_while_it_is_open_is_replaced(tmp_path: Path) -> 
 
 
 def test_no_revision_goes_back_where_a_backup_takes_the_place_of_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "state"
+    """The backup was made before the last block of revisions was reserved."""
+    path, backup, earlier = (tmp_path / name for name in ("state", "state.backup", "earlier"))
     world = World(str(path))
     world.store.back_up()
+    shutil.copyfile(backup, earlier)
+    world.kill_manager()
     for rate in ("10", "20", "30"):
         world.manager.add_transformation(CAMERA.replace(">30<", f">{rate}<"))
     before = world.manager.graph.revision, world.manager.library.revision
     world.store.close()
-    with path.open("r+b") as file:
-        file.write(b"x" * 4096)
+    path.write_bytes(b"cut off")
+    os.replace(earlier, backup)
     for _ in range(2):  # the second life finds nothing damaged
         world.open()
         assert world.manager.graph.revision > before[0]

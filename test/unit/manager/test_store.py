@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sqlite3
 from functools import partial
@@ -80,11 +79,6 @@ def test_a_folder_that_cannot_be_made_is_an_error_that_names_it(tmp_path: Path) 
         Store(str(tmp_path / "file" / "state.db"))
 
 
-def written_by_another_version(path: str, table: str, key: str, text: str) -> None:
-    with contextlib.closing(Store(path)) as file:
-        file.write({(table, key): text})
-
-
 RECORD = Record("/n", TRANSFORMATION, "/m", topics={"in": "/t"}, state=State.RUNNING)
 BODY = json.loads(RECORD.body())
 
@@ -136,6 +130,7 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
     tmp_path: Path, table: str, text: str, name: str
 ) -> None:
     path = str(tmp_path / "state.db")
+    key = name or ("/bad" if table == "nodelets" else "bad")
     store = Store(path)
     store.write(
         {
@@ -143,11 +138,10 @@ def test_an_entry_that_means_nothing_is_set_aside_and_the_rest_is_used(
             ("nodelets", "/n"): RECORD.body(),
             ("claims", "c1"): CLAIM.body(NOW),
             ("facts", "library_revision"): "3",
+            (table, key): text,
         }
     )
     store.close()
-    key = name or ("/bad" if table == "nodelets" else "bad")
-    written_by_another_version(path, table, key, text)
     for entry_is_named in (True, False):  # once
         store = Store(path)
         library = Library(store)

@@ -100,8 +100,33 @@ def test_one_that_cannot_be_restored_alone_ends_nobody_else(world: World) -> Non
 # Nodelets that are made for claims
 
 
-def wait_for_one_that_crashes(field: Field) -> None:
-    """Have a claim wait for a subsampler; each crashes its process when it is connected."""
+def crash_subsampler(field: Field, times: int = 1) -> None:
+    for _ in range(times):
+        field.settle()
+        (each,) = (each for each in field.manager.graph.all() if each.label == "subsampler")
+        field.host.crash(each.manager, [each.name])
+
+
+def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> None:
+    field = Field()
+    claim = field.acquire().claim
+    crash_subsampler(field, ENOUGH)
+    field.settle()
+    field.tidy()
+    (alone,) = (each for each in field.manager.graph.all() if each.isolated)
+    assert alone.label == "subsampler"
+    assert "2 crashes" in alone.detail and "SIGSEGV" in alone.detail
+    assert field.state(claim.claim_id) is ClaimState.ACTIVE
+    assert claim.topic in field.moving
+    crash_subsampler(field)
+    field.settle()
+    field.tidy()
+    assert [each.label for each in field.manager.graph.all() if each.isolated] == ["subsampler"]
+
+
+def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() -> None:
+    """A claim waits for a subsampler; each crashes its process when it is connected."""
+    field = Field()
 
     def die(operation: str, argument: str) -> None:
         record = field.manager.graph.find(argument)
@@ -115,39 +140,11 @@ def wait_for_one_that_crashes(field: Field) -> None:
         field.acquire()
     field.settle()
     field.manager.add_transformation(FIELD_LIBRARY)
-
-
-def test_the_transformation_is_suspected_whatever_its_nodelets_are_called() -> None:
-    field = Field()
-    claim = field.acquire().claim
-    for _ in range(ENOUGH):
-        field.settle()
-        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
-        field.host.crash(field.manager.graph.get(name).manager, [name])
-    field.settle()
-    field.tidy()
-    (alone,) = (each for each in field.manager.graph.all() if each.isolated)
-    assert alone.label == "subsampler"
-    assert "2 crashes" in alone.detail and "SIGSEGV" in alone.detail
-    assert field.state(claim.claim_id) is ClaimState.ACTIVE
-    assert claim.topic in field.moving
-    crashed = field.manager.graph.get(alone.name)
-    field.host.crash(crashed.manager, [crashed.name])
-    field.settle()
-    field.tidy()
-    assert [each.label for each in field.manager.graph.all() if each.isolated] == ["subsampler"]
-
-
-def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() -> None:
-    field = Field()
-    ports = "in yuv,out planes"
-    spare = transformation(
-        "spare", "soccer/Spare", ports, "yuv YUV(?where);planes Planes(field)", 9
-    )
-    field.host.sources["soccer/Spare"] = field.host.sources["soccer/Subsampler"]
-    wait_for_one_that_crashes(field)
     field.settle(2.0)
-    field.manager.add_transformation(f"<transformations>{spare}</transformations>")
+    field.host.sources["soccer/Spare"] = field.host.sources["soccer/Subsampler"]
+    tags = "yuv YUV(?where);planes Planes(field)"
+    spare = transformation("spare", "soccer/Spare", "in yuv,out planes", tags, 9)
+    field.manager.add_transformation(spare)
     field.settle(60.0)
     field.tidy()
     (claim,) = field.living()
@@ -159,10 +156,7 @@ def test_another_way_is_taken_than_one_that_crashes_before_its_stream_is_made() 
 def test_what_replaces_a_suspected_transformation_begins_anew() -> None:
     field = Field()
     field.acquire()
-    for _ in range(ENOUGH):
-        field.settle()
-        (name,) = (each.name for each in field.manager.graph.all() if each.label == "subsampler")
-        field.host.crash(field.manager.graph.get(name).manager, [name])
+    crash_subsampler(field, ENOUGH)
     field.manager.look()
     field.manager.add_transformation(FIELD_LIBRARY)
     field.tidy()

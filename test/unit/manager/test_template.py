@@ -5,46 +5,36 @@
 
 from itertools import product
 from math import prod
+from xml.sax.saxutils import escape
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from unit.manager.test_ontology import loader
 
-from dyknow.errors import SpecificationError, UnknownConcept
+from dyknow.errors import SpecificationError
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.specification import parse
-from dyknow.manager.specifications.tags import NoOntology
 from dyknow.model.transformation import Parameter, Port
 
 TERMS = st.text(st.sampled_from("ab1 ${}X<&"), min_size=1, max_size=6).map(str.strip)
 SETS = st.lists(TERMS.filter(bool), min_size=1, max_size=4, unique=True)
 
 
-class Concepts(NoOntology):
-    """An ontology of a class with individuals, and of one without."""
+#: Classes; one individual has no label, one has no name, and one has a comma in its label.
+CLASSES = """
+:Camera a owl:Class . :back a :Camera . :front a :Camera ; rdfs:label "front" . [] a :Camera .
+<urn:lens> a owl:Class . <urn:x> a owl:Class .
+:wide a <urn:lens> ; rdfs:label "front, wide" . :left a <urn:lens> ; rdfs:label "left" .
+"""
 
-    CLASSES = {
-        "http://example.org/#Camera": ("back", "front"),
-        "urn:lens": ("front, wide", "left"),
-        "urn:x": (),
-    }
 
-    def is_class(self, name):
-        return name in self.CLASSES
-
-    def individuals(self, concept):
-        if not self.is_class(concept):
-            raise UnknownConcept(concept)
-        return self.CLASSES[concept]
-
-    def unlabelled(self, concept):
-        return ("http://example.org/#back", "_:n1") if "back" in self.CLASSES[concept] else ()
+@pytest.fixture(scope="module")
+def ontology(tmp_path_factory):
+    return loader(tmp_path_factory.mktemp("ontology"))(CLASSES)
 
 
 def template(label, args, extra=""):
-    def escape(text):
-        return text.replace("&", "&amp;").replace("<", "&lt;")
-
     written = "".join(f'<arg label="{n}">{escape(terms)}</arg>' for n, terms in args.items())
     return (
         f"<transformation><label>{label}</label><source>p/A</source>"
@@ -83,11 +73,11 @@ def test_several_args_give_their_product(sets):
     assert problems_of(text, limits=SpecificationLimits(transformations=len(expected) - 1))
 
 
-def test_the_terms_may_be_the_individuals_of_a_class():
+def test_the_terms_may_be_the_individuals_of_a_class(ontology):
     text = template("l(${Cam})", {"Cam": "http://example.org/#Camera"})
 
-    assert labels_of(text, ontology=Concepts()) == ["l(back)", "l(front)"]
-    warned = parse(text, ontology=Concepts()).warnings
+    assert labels_of(text, ontology=ontology) == ["l(back)", "l(front)"]
+    warned = parse(text, ontology=ontology).warnings
     assert [(each.line > 0, each.message) for each in warned] == [
         (
             True,
@@ -110,17 +100,17 @@ def test_the_terms_may_be_the_individuals_of_a_class():
         ("{front, wide; left}", "Image(${C})", False),  # two arguments on purpose
     ],
 )
-def test_an_individual_that_is_no_single_argument_is_warned_about(terms, tag, is_warned):
+def test_an_individual_that_is_no_single_argument_is_warned_about(ontology, terms, tag, is_warned):
     ports = f"<ports><port type='out'>o</port></ports><tags><tag port='o'>{tag}</tag></tags>"
-    found = parse(template("a ${C}", {"C": terms}, ports), ontology=Concepts())
+    found = parse(template("a ${C}", {"C": terms}, ports), ontology=ontology)
     expected = "the individual 'front, wide' is no single argument of a tag"
     assert [each.message.split(":")[0] for each in found.warnings] == [expected] * is_warned
 
 
-def test_a_class_without_individuals_is_a_problem():
+def test_a_class_without_individuals_is_a_problem(ontology):
     text = template("l(${Cam})", {"Cam": "urn:x"})
 
-    assert problems_of(text, ontology=Concepts()) == [
+    assert problems_of(text, ontology=ontology) == [
         "the arg 'Cam' has no terms: the class <urn:x> has no individuals"
     ]
 
