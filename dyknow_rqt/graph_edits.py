@@ -20,8 +20,7 @@ from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph import changes
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
-from dyknow_rqt.graph.geometry import Point
-from dyknow_rqt.graph.places import Places
+from dyknow_rqt.graph.geometry import Places, Point
 from dyknow_rqt.graph.wiring import (
     Rewire,
     connect,
@@ -34,7 +33,7 @@ from dyknow_rqt.graph.wiring import (
     splice,
 )
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.parameters import ParametersDialog
+from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
 
 #: So many ports are named, and so many things to make are offered.

@@ -12,7 +12,7 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.model.streams import StreamStatus
 from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.contact import Contact
+from dyknow_rqt.graph.health import Contact
 from dyknow_rqt.remote import Remote
 
 #: Milliseconds from beat to beat, and beats from question to question.

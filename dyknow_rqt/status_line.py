@@ -23,8 +23,7 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.graph.contact import Status
-from dyknow_rqt.graph.health import Ill, ills_of
+from dyknow_rqt.graph.health import Ill, Status, ills_of
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.widgets import wrapped
 

@@ -24,15 +24,13 @@ from python_qt_binding.QtGui import QFont, QPainter, QPalette
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.background_calls import Slices, qt_slot
 from dyknow_rqt.canvas.appearance import Tone, colours_of, greys_of, tones_around
-from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.arrows import ArrowLabels, EdgeItem
 from dyknow_rqt.canvas.facts import Facts
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
-from dyknow_rqt.canvas.labels import ArrowLabels
 from dyknow_rqt.canvas.marks import Marks
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
-from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Point, Size, boxes_around, curve_between

@@ -15,7 +15,7 @@ from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.minimap import Minimap
+from dyknow_rqt.canvas.overview import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.canvas.wire import Wire

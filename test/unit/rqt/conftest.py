@@ -13,12 +13,12 @@ from clocks import PATIENCE
 def patient_window(request, monkeypatch):
     """No window takes a manager for silent because the machine is busy."""
     if "qtbot" in request.fixturenames:
-        monkeypatch.setattr("dyknow_rqt.graph.contact.PATIENCE", PATIENCE)
+        monkeypatch.setattr("dyknow_rqt.graph.health.PATIENCE", PATIENCE)
 
 
 @pytest.fixture
 def remote():
-    from dyknow_rqt.example_graphs import soccer
+    from dyknow_rqt.simulated import soccer
 
     return soccer()
 

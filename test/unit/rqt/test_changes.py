@@ -16,7 +16,6 @@ from dyknow.model.hosts import pins
 from dyknow.model.transformation import IN, Parameter
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import Wiring, wiring_of
-from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     Present,
@@ -33,6 +32,7 @@ from dyknow_rqt.graph.changes import (
 )
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, topics_for
+from dyknow_rqt.simulated import soccer
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

@@ -18,11 +18,11 @@ from unit.rqt.seeing import contrast
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.periodic import RunningClock
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import Change, protect, spawn
-from dyknow_rqt.graph.contact import Contact
+from dyknow_rqt.graph.health import Contact
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.screenshots import dark_palette
+from dyknow_rqt.simulated import soccer
 
 _MASTER = "http://robot:11311"
 _STEPS = {

@@ -28,11 +28,10 @@ from unit.rqt.hands import (
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.figure import Edge
-from dyknow_rqt.graph.geometry import Point
-from dyknow_rqt.graph.places import Places
+from dyknow_rqt.graph.geometry import Places, Point
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import splice
-from dyknow_rqt.parameters import ParametersDialog
+from dyknow_rqt.panels.create import ParametersDialog
 
 MOVED, RESIZE = "n_/nao1/resize", PortRef("/nao1/resize", "image")
 YUV = "/nao1/top_camera/yuv"

@@ -19,7 +19,7 @@ from python_qt_binding.QtWidgets import (
 )
 from unit.rqt.hands import CEILING, button_of, create, description_of, texts_of, until
 
-from dyknow_rqt.example_graphs import soccer
+from dyknow_rqt.simulated import soccer
 from dyknow_rqt.widgets import KEYS, KeysDialog
 
 

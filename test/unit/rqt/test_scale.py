@@ -15,12 +15,12 @@ from python_qt_binding.QtWidgets import QToolButton
 from unit.rqt.hands import button_of, centre_of, click, is_settled, until, vertex_keys, window_of
 
 from dyknow.formulas import Truth
+from dyknow_rqt.background_calls import Slices
 from dyknow_rqt.canvas import arrows, vertices
 from dyknow_rqt.canvas.overview import FAR
-from dyknow_rqt.canvas.slices import Slices
-from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.graph_files import save_drawing
 from dyknow_rqt.screenshots import dark_palette
+from dyknow_rqt.simulated import tree
 from dyknow_rqt.window import DyKnowWidget
 
 _COUNT = 200

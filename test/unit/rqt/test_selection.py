@@ -10,7 +10,7 @@ from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QApplication, QMenu
 from unit.rqt.hands import TRACKER, centre_of, context_menu, is_ready, topic, until, vertex_keys
 
-from dyknow_rqt.canvas import slices
+from dyknow_rqt import background_calls
 from dyknow_rqt.graph.figure import VertexKind
 
 OTHER_TRACKER = (
@@ -55,7 +55,7 @@ def test_what_is_selected_between_two_slices_of_a_drawing_stays_selected(
     qtbot, window, monkeypatch
 ):
     scene = window.graph.view.scene()
-    monkeypatch.setattr(slices, "SLICE", -1.0)  # each step is one
+    monkeypatch.setattr(background_calls, "SLICE", -1.0)  # each step is one
     scene.show_drawing(scene._drawing)
     while not scene.is_drawing:
         scene.slices.go_on()

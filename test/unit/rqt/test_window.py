@@ -20,10 +20,10 @@ from unit.rqt.hands import TRACKER, click, create, is_ready, pauses, until, vert
 
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import as_specification
-from dyknow_rqt.example_graphs import tree
 from dyknow_rqt.graph.changes import add_transformations, destroy, protect, spawn
 from dyknow_rqt.graph.wiring import connect_topic
 from dyknow_rqt.screenshots import dark_palette
+from dyknow_rqt.simulated import tree
 from dyknow_rqt.window import DyKnowWidget, make_room
 
 
