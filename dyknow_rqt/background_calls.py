@@ -1,52 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Calls in worker threads, long work in slices, and slots that never raise."""
+"""Calls in worker threads, and long work of the interface's own, in slices."""
 
 from __future__ import annotations
 
-import functools
-import inspect
 import logging
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Iterator, Optional, Set, TypeVar, cast
+from typing import Callable, Deque, Dict, Iterator, Optional, Set, TypeVar
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError
 from dyknow.periodic import Workers
-from dyknow_rqt.graph.filters import BadFilter
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 T = TypeVar("T")
-
-
-def qt_slot(method: _Function) -> _Function:
-    """Let a method be called by Qt.
-
-    An exception is shown by the ``report`` of the object, if it has one: expected errors in their
-    own words, unexpected ones with their type, and logged with their traceback. Arguments of a
-    signal that the method does not take are dropped.
-    """
-    most = len(inspect.signature(method).parameters) - 1
-
-    @functools.wraps(method)
-    def guard(self: Any, *args: Any) -> Any:
-        try:
-            return method(self, *args[:most])
-        except (DyKnowError, BadFilter, OSError) as error:
-            text = str(error)
-        except Exception as error:
-            _LOG.exception("in %s", method.__qualname__)
-            text = f"{type(error).__name__} in {method.__qualname__}: {error}"
-        if hasattr(self, "report"):
-            self.report(text)
-        return None
-
-    return cast(_Function, guard)
 
 
 class BackgroundCalls(QObject):
@@ -135,10 +106,7 @@ class BackgroundCalls(QObject):
         if self._closed.is_set() or not self._results:
             self._turns.stop()
             return
-        try:
-            self._results.popleft()()
-        except Exception:
-            _LOG.exception("the result of a call could not be taken in")
+        self._results.popleft()()
 
 
 #: A function that yields where its work may be interrupted.
@@ -154,9 +122,8 @@ class Slices(QObject):
         is_working: whether a slice is being done; between two of them a user may be at work.
     """
 
-    def __init__(self, report: Callable[[str], None], parent: QObject) -> None:
+    def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
-        self.report = report
         self.is_working = False
         self._steps: Dict[Job, Iterator[None]] = {}
         self._again: Set[Job] = set()
@@ -178,7 +145,6 @@ class Slices(QObject):
         self._timer.stop()
         self._steps.clear()
 
-    @qt_slot
     def go_on(self) -> None:
         """Do one slice."""
         self.is_working = True

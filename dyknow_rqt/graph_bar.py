@@ -22,7 +22,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
 from dyknow_rqt.graph.filters import Filter
 from dyknow_rqt.widgets import FilterEdit, row_of
@@ -128,7 +127,7 @@ class GraphBar(QWidget):
         self.hits.hide()
         self.nodelets, self.topics = (FilterEdit(what) for what in _FILTERS)
         self._typing = QTimer(self, singleShot=True, interval=_TYPING)
-        self._typing.timeout.connect(self._tell)
+        self._typing.timeout.connect(self.options_changed)
         self._arrange()
         self.show_history("", "")
 
@@ -192,17 +191,14 @@ class GraphBar(QWidget):
         groups = str(state.get("collapsed", "")).splitlines()
         self.collapsed = frozenset(tuple(group.split()) for group in groups if group)
 
-    @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
         """Draw these boxes as one vertex each, and only these."""
         self.collapsed = frozenset(groups)
-        self._tell_structure()
+        self.structure_changed.emit()
 
-    @qt_slot
     def toggle_box(self, group: Group) -> None:
         self.collapse(self.collapsed ^ {group})
 
-    @qt_slot
     def show_history(self, undo: str, redo: str) -> None:
         for action, text in ((self.undo, undo), (self.redo, redo)):
             action.setEnabled(bool(text))
@@ -212,7 +208,6 @@ class GraphBar(QWidget):
         self.hits.setText(text)
         self.hits.setVisible(bool(text))
 
-    @qt_slot
     def changeEvent(self, event: QEvent) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
@@ -239,7 +234,7 @@ class GraphBar(QWidget):
                 action = group.addAction(text)
                 action.setCheckable(True)
             group.actions()[first].setChecked(True)
-            group.triggered.connect(self._tell_structure)
+            group.triggered.connect(self.structure_changed)
             menu.addMenu(title).addActions(group.actions())
         menu.addSeparator()
         for name, title, tip, holds in _CHECKS:
@@ -247,7 +242,7 @@ class GraphBar(QWidget):
             option.setCheckable(True)
             option.setChecked(holds)
             option.setToolTip(tip)
-            option.triggered.connect(self._tell)
+            option.triggered.connect(self.options_changed)
         return menu
 
     def _arrange(self) -> None:
@@ -266,7 +261,7 @@ class GraphBar(QWidget):
         rows.addLayout(first)
         rows.addWidget(second)
         self.filter.toggled.connect(second.setVisible)
-        self.filter.toggled.connect(self._tell)
+        self.filter.toggled.connect(self.options_changed)
         for edit in (self.nodelets, self.topics):
             edit.filter_changed.connect(self._filter)
 
@@ -275,19 +270,10 @@ class GraphBar(QWidget):
             action.setIcon(_icon_of(name, self.palette()))
         self._more.setIcon(_icon_of("go-next", self.palette()))
 
-    @qt_slot
     def _filter(self) -> None:
         if self.nodelets.text() or self.topics.text():
             self.filter.setChecked(True)
         self._typing.start()
-
-    @qt_slot
-    def _tell(self) -> None:
-        self.options_changed.emit()
-
-    @qt_slot
-    def _tell_structure(self) -> None:
-        self.structure_changed.emit()
 
 
 def _give_keys(action: QAction, *keys: str) -> None:

@@ -16,7 +16,6 @@ from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Port
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph import changes
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
@@ -35,6 +34,7 @@ from dyknow_rqt.graph.wiring import (
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.status_line import StatusLine
 
 #: So many ports are named, and so many things to make are offered.
 _NAMED, _OFFERED = 3, 15
@@ -49,8 +49,6 @@ class GraphEdits(QObject):
         places: where the user has put vertices.
     """
 
-    #: Something to know, in words.
-    noted = Signal(str)
     #: Vertices have other places.
     moved = Signal()
     #: Connect a port; the nodelet, and the port or an empty text.
@@ -65,12 +63,16 @@ class GraphEdits(QObject):
     topic_wanted = Signal(str)
 
     def __init__(
-        self, monitor: GraphMonitor, view: GraphView, selection: Selection, window: QWidget
+        self,
+        monitor: GraphMonitor,
+        view: GraphView,
+        selection: Selection,
+        line: StatusLine,
+        window: QWidget,
     ) -> None:
         super().__init__(window)
         self._monitor, self._view, self._selection = monitor, view, selection
-        self._window = window
-        self.report = monitor.report
+        self._line, self._window = line, window
         self.places = Places()
         view.drag_began.connect(self._drag_began)
         view.dragged.connect(self._dragged)
@@ -80,11 +82,9 @@ class GraphEdits(QObject):
 
     # Connections
 
-    @qt_slot
     def _drag_began(self, ref: PortRef) -> None:
         self._view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
 
-    @qt_slot
     def _dragged(self, start: PortRef, target: Target) -> None:
         """Describe the type of the connection, and its effect if it ends here."""
         port = self._monitor.snapshot.port(start)
@@ -104,7 +104,6 @@ class GraphEdits(QObject):
                 lines += [what, *over, change.replaced]
         self._view.wire.say("\n".join(line for line in lines if line))
 
-    @qt_slot
     def _dropped(self, start: PortRef, target: Target, place: QPointF) -> None:
         if target is not None:
             self._monitor.do(self._connection(start, target))
@@ -112,7 +111,7 @@ class GraphEdits(QObject):
         refs = [str(ref) for ref in partners(self._monitor.snapshot, start)]
         more = f" and {len(refs) - _NAMED} more" if len(refs) > _NAMED else ""
         fitting = f"a port that fits ({', '.join(refs[:_NAMED])}{more}), or at " if refs else ""
-        self.noted.emit(f"{start} is not connected: end the arrow at {fitting}a topic")
+        self._line.note(f"{start} is not connected: end the arrow at {fitting}a topic")
         self._offer(start, place)
 
     def _connection(self, start: PortRef, target: Target) -> Rewire:
@@ -142,7 +141,6 @@ class GraphEdits(QObject):
         view = self._view
         menu.popup(view.viewport().mapToGlobal(view.mapFromScene(place)))
 
-    @qt_slot
     def _create(self, start: PortRef, label: str, port: Port, place: QPointF) -> None:
         snapshot = self._monitor.snapshot
         name = free_name(snapshot, label, names.parent(start.nodelet))
@@ -152,14 +150,12 @@ class GraphEdits(QObject):
 
     # Places
 
-    @qt_slot
     def _keep(self, places: Mapping[str, Point]) -> None:
         self.places.put(places)
         self.moved.emit()
 
     # Menus and keys
 
-    @qt_slot
     def _delete(self) -> None:
         """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
         edges = self._selection.edges
@@ -169,19 +165,15 @@ class GraphEdits(QObject):
         elif self._selection.nodelets:
             self.destroy_wanted.emit(self._selection.nodelets)
 
-    @qt_slot
     def disconnect_ports(self, refs: Tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
 
-    @qt_slot
     def restart(self, nodelets: Sequence[str]) -> None:
         self._monitor.do(changes.restart(tuple(nodelets)))
 
-    @qt_slot
     def isolate(self, nodelets: Sequence[str], on: bool) -> None:
         self._monitor.do(changes.isolate(tuple(nodelets), on))
 
-    @qt_slot
     def show_parameters(self, name: str) -> None:
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:

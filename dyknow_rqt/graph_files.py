@@ -16,7 +16,6 @@ from python_qt_binding.QtWidgets import QFileDialog, QWidget
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.hosts import pins
 from dyknow.wiring.wiring import read_wiring, wiring_of
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import sizes_of
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.graph.changes import load_wiring
@@ -39,7 +38,6 @@ class GraphFiles:
         self, monitor: GraphMonitor, scene: GraphScene, bar: GraphBar, window: QWidget
     ) -> None:
         self._monitor, self._scene, self._window = monitor, scene, window
-        self.report = monitor.report
         bar.load.triggered.connect(self.ask_what_to_load)
         bar.save_menu.addAction("&Wiring …").triggered.connect(self.ask_where_to_save)
         bar.save_menu.addSeparator()
@@ -76,7 +74,6 @@ class GraphFiles:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
         self._monitor.do(load_wiring(wiring, path.rpartition("/")[2]))
 
-    @qt_slot
     def ask_where_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self._window, "Save the wiring", "wiring.xml", _FILES
@@ -84,13 +81,11 @@ class GraphFiles:
         if path:
             self.save(path)
 
-    @qt_slot
     def ask_what_to_load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)
         if path:
             self.load(path)
 
-    @qt_slot
     def ask_where_to_draw(self, kind: str) -> None:
         suffix = kind.rpartition(".")[2].rstrip(")")
         dialog = QFileDialog(self._window, "Save the graph", "", kind)

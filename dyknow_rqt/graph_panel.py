@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Any, Dict, FrozenSet, Mapping, Optional, Sequence
 
-from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
+from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer
 from python_qt_binding.QtWidgets import QMenu, QVBoxLayout, QWidget
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView
@@ -29,6 +29,7 @@ from dyknow_rqt.graph_menus import menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.timeline import TimelinePanel
 from dyknow_rqt.topic_card import TopicCard
 from dyknow_rqt.widgets import Sign
@@ -44,16 +45,9 @@ _RESHAPED = 1.3
 class GraphPanel(QWidget):
     """Bar, drawing, and a message when there is nothing to draw."""
 
-    #: An error, in words.
-    failed = Signal(str)
-    #: Something to know, in words.
-    noted = Signal(str)
-    #: The error no longer holds.
-    mended = Signal(str)
-
-    def __init__(self, monitor: GraphMonitor, selection: Selection) -> None:
+    def __init__(self, monitor: GraphMonitor, selection: Selection, line: StatusLine) -> None:
         super().__init__()
-        self._monitor, self._selection = monitor, selection
+        self._monitor, self._selection, self._line = monitor, selection, line
         self._is_following = False
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = self._wants_move = False
@@ -63,13 +57,13 @@ class GraphPanel(QWidget):
         self._turning = QTimer(self, singleShot=True, interval=_TURNING)
         self._turning.timeout.connect(self._turn)
         self.bar = GraphBar()
-        self.view = GraphView(self.report)
-        self.edits = GraphEdits(monitor, self.view, selection, self)
+        self.view = GraphView()
+        self.edits = GraphEdits(monitor, self.view, selection, line, self)
         self.layouter = Layouter()
         self.timeline = TimelinePanel(monitor)
         self.files = GraphFiles(monitor, self.view.scene(), self.bar, self)
         self.sign = Sign(self.view)
-        self.card = TopicCard(monitor, self.view, self.report)
+        self.card = TopicCard(monitor, self.view)
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
@@ -79,9 +73,6 @@ class GraphPanel(QWidget):
         self.view.installEventFilter(self)
         self._listen()
         self._show_sign()
-
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
 
     def close_down(self) -> None:
         self._calls.close()
@@ -96,7 +87,6 @@ class GraphPanel(QWidget):
 
     # Drawing
 
-    @qt_slot
     def redraw(self) -> None:
         """Draw the changes; a new layout is made only if vertices or edges came or went."""
         past, room = self.timeline.moment, self.view.viewport().size()
@@ -127,7 +117,6 @@ class GraphPanel(QWidget):
             self._wants_tidy = self._wants_move = False
         self._show_sign()
 
-    @qt_slot
     def show_plan(self, parts: Sequence[WayPart]) -> None:
         """Draw a plan that is not made yet over the graph; none of it ends that."""
         if tuple(parts) != self._plan:
@@ -135,19 +124,16 @@ class GraphPanel(QWidget):
             self.view.scene().show_ghosts(fates_of(parts))
             self.redraw()
 
-    @qt_slot
     def tidy(self) -> None:
         """Make a new layout without regard to the old one."""
         self._wants_tidy = True
         self.redraw()
 
-    @qt_slot
     def tidy_all(self) -> None:
         """Make a new layout that forgets the places of vertices that the user has moved."""
         self.edits.places.forget()
         self.tidy()
 
-    @qt_slot
     def _show_moment(self, moment: Optional[GraphMoment], found: Difference) -> None:
         """Show the graph as it was, without rates, or as it is."""
         scene, is_past = self.view.scene(), moment is not None
@@ -158,12 +144,10 @@ class GraphPanel(QWidget):
         self._show_traffic(self._monitor.traffic)
         self.redraw()
 
-    @qt_slot
     def _show_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         seen = (traffic, self._monitor.strains) if self.timeline.moment is None else ({}, {})
         self.view.scene().set_traffic(*seen)
 
-    @qt_slot
     def _mark(self, found: Difference) -> None:
         """Mark a change, unless it is that of everything."""
         count = len(self._monitor.snapshot.nodelets)
@@ -172,12 +156,10 @@ class GraphPanel(QWidget):
         ):
             self.view.scene().marks.show(found)
 
-    @qt_slot
     def show_timeline(self, on: bool) -> None:
         self.timeline.setVisible(on)
         (self.timeline.track if on else self.view).setFocus()
 
-    @qt_slot
     def _keep_places(self) -> None:
         """Lay out again, with vertices where the user has put them."""
         self._wants_move = True
@@ -192,7 +174,6 @@ class GraphPanel(QWidget):
         self.edits.places.read(str(state.get("places", "")))
         self.bar.restore(state)
 
-    @qt_slot
     def _turn(self) -> None:
         """Fill a view that has another shape now, with streams along its longer side."""
         room = self.view.viewport().size()
@@ -202,12 +183,10 @@ class GraphPanel(QWidget):
         if is_turned or not (is_left or 1 / _RESHAPED < change < _RESHAPED):
             self.tidy()
 
-    @qt_slot
     def find(self) -> None:
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
-    @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
         self._selection.keep_drawn(drawing.figure)
         self._follow_selection()
@@ -217,7 +196,6 @@ class GraphPanel(QWidget):
         self.view.keep_in_view()
         self._search()
 
-    @qt_slot
     def _show_sign(self) -> None:
         monitor, text = self._monitor, ""
         status = monitor.heart.status
@@ -234,12 +212,11 @@ class GraphPanel(QWidget):
 
     # Menus and selection
 
-    @qt_slot
     def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
         """Show the menu of a port, of the background, or of the selection with the item."""
         snapshot, edits = self._monitor.snapshot, self.edits
         if not self.view.is_editable:
-            self.noted.emit("this is the past; press End in the time-line to change the present")
+            self._line.note("this is the past; press End in the time-line to change the present")
             return
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, edits, self), place)
@@ -252,7 +229,6 @@ class GraphPanel(QWidget):
                 self.view.select(item)
             self.show_menu(place)
 
-    @qt_slot
     def show_menu(self, place: QPoint) -> None:
         menu = menu_of(self._selection, self._monitor.snapshot, self.edits, self)
         self._popup(menu, place)
@@ -261,7 +237,6 @@ class GraphPanel(QWidget):
         menu.setAttribute(Qt.WA_DeleteOnClose)
         menu.popup(place)
 
-    @qt_slot
     def _take_selection(self) -> None:
         """Take the selection that the user, not a change of the drawing, has selected in it."""
         if not (self._is_following or self.view.scene().slices.is_working):
@@ -269,7 +244,6 @@ class GraphPanel(QWidget):
             items = (*scene.vertices.items(), *scene.edges.items())
             self._selection.choose(key for key, item in items if item.isSelected())
 
-    @qt_slot
     def _follow_selection(self) -> None:
         scene, keys = self.view.scene(), self._selection.keys
         wanted = {scene.vertices.get(key) or scene.edges.get(key) for key in keys}
@@ -279,13 +253,11 @@ class GraphPanel(QWidget):
                 item.setSelected(item in wanted)
         self._is_following = False
 
-    @qt_slot
     def _search(self) -> None:
         text = self.bar.search.text()
         hits = self.view.scene().find(text)
         self.bar.show_hits(f"{len(hits)} found" if text else "")
 
-    @qt_slot
     def _next_hit(self) -> None:
         """Select the next item that was found, and show it."""
         hits = self.view.scene().find(self.bar.search.text())
@@ -296,20 +268,17 @@ class GraphPanel(QWidget):
             self.view.reveal([hits[number]])
             self.bar.show_hits(f"{number + 1} of {len(hits)}")
 
-    @qt_slot
     def reveal_selection(self) -> None:
         """Show where in the graph the selection is."""
         scene = self.view.scene()
         items = (*scene.vertices.items(), *scene.edges.items())
         self.view.reveal(item for key, item in items if key in self._selection.keys)
 
-    @qt_slot
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on
 
     # Inside
 
-    @qt_slot
     def _grey(self) -> None:
         scene = self.view.scene()
         scene.set_palette(self.view.palette(), not self._monitor.is_linked)
@@ -342,8 +311,7 @@ class GraphPanel(QWidget):
         self._selection.changed.connect(self._follow_selection)
         self.layouter.ready.connect(view.scene().show_drawing)
         view.scene().shown.connect(self._follow_drawing)
-        self.layouter.failed.connect(self.failed)
-        self.edits.noted.connect(self.noted)
+        self.layouter.failed.connect(self._line.report)
         self.edits.moved.connect(self._keep_places)
         view.box_pressed.connect(bar.toggle_box)
         view.topic_pressed.connect(self.card.show_topic)
@@ -362,18 +330,16 @@ class GraphPanel(QWidget):
         bar.search.textChanged.connect(self._search)
         bar.search.returnPressed.connect(self._next_hit)
         for edit in (bar.nodelets, bar.topics):
-            edit.refused.connect(self.failed)
-            edit.mended.connect(self.mended)
+            edit.refused.connect(self._line.report)
+            edit.mended.connect(self._line.withdraw)
         self.edits.topic_wanted.connect(self.card.show_topic)
 
-    @qt_slot
     def _ask_transports(self, nodes: FrozenSet[str]) -> None:
         scene, remote = self.view.scene(), self._monitor.remote
         self._monitor.ask(
             lambda client: remote.transports(nodes), scene.set_transports, lambda why: None
         )
 
-    @qt_slot
     def _refresh(self) -> None:
         self._monitor.read_library()
         self._monitor.look()

@@ -11,7 +11,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.geometry import Drawing, Layout
 from dyknow_rqt.graph.layout import (
     BadLayout,
@@ -94,9 +94,6 @@ class Layouter(QObject):
             self._process.kill()
             self._process.waitForFinished(1000)
 
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
-
     def _begin(self) -> None:
         order = self._next
         if order is not None and not self._is_busy:
@@ -135,7 +132,6 @@ class Layouter(QObject):
                 self._process.write(text.replace(_TITLE, f"digraph g{number} {{", 1).encode())
             self._process.closeWriteChannel()
 
-    @qt_slot
     def _finished(self) -> None:
         answer, running = bytes(self._process.readAllStandardOutput()), self._running
         self._process.readAllStandardError()
@@ -160,7 +156,6 @@ class Layouter(QObject):
         else:
             self._calls.run(lambda: _read(answer, running), take, give_up)
 
-    @qt_slot
     def _arrange(self) -> None:
         """Arrange the finished layouts, and all else as well as it goes without graphviz."""
         plan = self._plan

@@ -35,7 +35,7 @@ from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
 from dyknow_rqt.graph.rates import Meter, PortRate, Strain
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
@@ -167,15 +167,10 @@ class GraphMonitor(QObject):
     def stream(self, claim_id: str) -> Optional[StreamStatus]:
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
-
-    @qt_slot
     def look(self) -> None:
         """Read everything now, unless that is under way."""
         self._calls.run_once("the graph", lambda: self._looked(self.remote.graph), self._take_look)
 
-    @qt_slot
     def read_library(self) -> None:
         link = self._link
         self._calls.run_once(
@@ -195,7 +190,7 @@ class GraphMonitor(QObject):
             then: called in the thread of the window with the answer.
             failed: called there with the error in words; by default it is reported.
         """
-        say = failed or self.report
+        say = failed or self.failed.emit
         if self.is_linked:
             self._calls.run(lambda: question(self._client), then, lambda error: say(_words(error)))
         else:
@@ -219,11 +214,9 @@ class GraphMonitor(QObject):
 
         self._in_turn(change.text, begin)
 
-    @qt_slot
     def undo(self) -> None:
         self._in_turn("undo", self._undo)
 
-    @qt_slot
     def redo(self) -> None:
         self._in_turn("redo", self._redo)
 
@@ -269,11 +262,10 @@ class GraphMonitor(QObject):
 
     def _go_on(self) -> None:
         while self._waiting and not self._must_wait:
-            self._begin_next()
-
-    @qt_slot
-    def _begin_next(self) -> None:
-        self._waiting.popleft()()
+            try:
+                self._waiting.popleft()()
+            except CannotUndo as error:  # that holds up nothing
+                self.failed.emit(str(error))
 
     def _present(self) -> Present:
         return Present(self._client, self.snapshot, dict(self.library))
@@ -385,7 +377,6 @@ class GraphMonitor(QObject):
             if not self._drawing.isActive():
                 self._drawing.start()
 
-    @qt_slot
     def _take_heard(self) -> None:
         model, self._heard = self._heard, None
         if model is None:
@@ -467,7 +458,6 @@ class GraphMonitor(QObject):
         if not self._gathering.isActive():
             self._gathering.start()
 
-    @qt_slot
     def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
         if tuple(streams) == self.streams:
             return
@@ -478,12 +468,10 @@ class GraphMonitor(QObject):
         self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
         self.streams_changed.emit()
 
-    @qt_slot
     def _tell_verdicts(self) -> None:
         nodelets = self.snapshot.nodelets
         self.decided.emit(port_verdicts(nodelets, self._verdicts, self.streams))
 
-    @qt_slot
     def _follow_link(self, is_linked: bool) -> None:
         """Read everything of a manager that answers again: it may be another one."""
         if is_linked:

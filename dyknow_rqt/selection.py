@@ -9,7 +9,6 @@ from typing import FrozenSet, Iterable, List, Union
 
 from python_qt_binding.QtCore import QObject, Signal
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import GraphMonitor
@@ -60,11 +59,9 @@ class Selection(QObject):
             self.keys, self.claims = chosen
             self.changed.emit()
 
-    @qt_slot
     def choose_nodelets(self, names: Iterable[str]) -> None:
         self.choose(key_of(VertexKind.NODELET, name) for name in names)
 
-    @qt_slot
     def choose_claims(self, claims: Iterable[str]) -> None:
         """Select claims with their nodelets, and nothing else."""
         streams = [stream for stream in map(self._monitor.stream, claims) if stream is not None]
@@ -81,7 +78,6 @@ class Selection(QObject):
             (k for k in self.keys if k in drawn or str(k).startswith(nodelet)), self.claims
         )
 
-    @qt_slot
     def _follow_graph(self, snapshot: Snapshot) -> None:
         if not self.claims:
             gone = {
@@ -91,7 +87,6 @@ class Selection(QObject):
             }
             self.choose(self.keys - gone)
 
-    @qt_slot
     def _follow_streams(self) -> None:
         if self.claims:
             self.choose_claims(self.claims)

@@ -30,7 +30,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow.model.graph import PortRef, State
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.canvas.view import topic_of
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
@@ -57,7 +57,6 @@ class Curve(QWidget):
         self.setAccessibleName("Curve")
         self.points: Deque[Tuple[float, float]] = deque()
 
-    @qt_slot
     def clear(self) -> None:
         self.points.clear()
         self.update()
@@ -68,7 +67,6 @@ class Curve(QWidget):
             self.points.popleft()
         self.update()
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
         painter.setRenderHint(QPainter.Antialiasing)
@@ -96,11 +94,8 @@ class Curve(QWidget):
 class TopicCard(QWidget):
     """A card in a corner of the view; ``show_topic`` opens it, ``dismiss`` closes it."""
 
-    def __init__(
-        self, monitor: GraphMonitor, view: QGraphicsView, report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, monitor: GraphMonitor, view: QGraphicsView) -> None:
         super().__init__(view)
-        self.report = report
         self.topic = ""
         self._monitor, self._view = monitor, view
         self._calls = BackgroundCalls(1)
@@ -128,7 +123,6 @@ class TopicCard(QWidget):
         self.show_topic("")
         self._calls.close()
 
-    @qt_slot
     def show_topic(self, topic: str) -> None:
         """Show the last message of a topic from now on; an empty name closes the card."""
         if topic == self.topic:
@@ -165,7 +159,6 @@ class TopicCard(QWidget):
 
         self.setGeometry(min(areas, key=hidden))
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
         painter.setPen(colours_of(self.palette()).box_line)
@@ -173,7 +166,6 @@ class TopicCard(QWidget):
 
     # Listening
 
-    @qt_slot
     def _follow(self) -> None:
         """Listen to the node that publishes the topic now."""
         if self.topic:
@@ -276,7 +268,6 @@ class TopicCard(QWidget):
             part.setVisible(on)
         return has_changed
 
-    @qt_slot
     def _tell(self) -> None:
         """Say how much comes, and how old the last message is."""
         if not self._node:

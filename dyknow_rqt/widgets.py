@@ -23,7 +23,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.filters import BadFilter, Filter, completions, parse
 
@@ -108,11 +107,9 @@ class FilterEdit(QLineEdit):
     def set_names(self, names: Iterable[str]) -> None:
         self._names = sorted(names)
 
-    @qt_slot
     def _offer(self, text: str) -> None:
         self._model.setStringList(completions(text, self._names))
 
-    @qt_slot
     def _read(self, text: str) -> None:
         palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
         try:

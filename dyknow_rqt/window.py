@@ -22,14 +22,13 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.health import Ill
 from dyknow_rqt.graph_panel import GraphPanel
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.panels.lists import ActivePanel, LibraryPanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
+from dyknow_rqt.panels.lists import ActivePanel, LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
@@ -55,12 +54,11 @@ class DyKnowWidget(QWidget):
         self.setWindowTitle("DyKnow")
         self.monitor = GraphMonitor(remote)
         self.line = StatusLine()
-        self.report = self.line.report
         self.health = HealthLabel(self.monitor)
         self.line.show_beside(self.health)
         self.selection = Selection(self.monitor)
         self._is_chosen = False
-        self.graph = GraphPanel(self.monitor, self.selection)
+        self.graph = GraphPanel(self.monitor, self.selection, self.line)
         self.active = ActivePanel(self.monitor, self.line, self.selection)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
@@ -91,7 +89,6 @@ class DyKnowWidget(QWidget):
         """Layout of a small graph beside the control panel."""
         return QSize(1200, 760)
 
-    @qt_slot
     def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
         """Put the control panel below the graph in a narrow window, and away in a small one."""
         super().resizeEvent(event)
@@ -105,7 +102,6 @@ class DyKnowWidget(QWidget):
             is_room = size.height() >= _SMALL if is_narrow else size.width() >= _NARROW
             self._show_panel(is_room)
 
-    @qt_slot
     def _choose_panel(self, on: bool) -> None:
         self._is_chosen = True
         self._show_panel(on)
@@ -164,9 +160,6 @@ class DyKnowWidget(QWidget):
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)
         self.graph.bar.panel.triggered.connect(self._choose_panel)
-        self.graph.failed.connect(self.line.report)
-        self.graph.mended.connect(self.line.withdraw)
-        self.graph.noted.connect(self.line.note)
         self.active.menu_wanted.connect(self.graph.show_menu)
         for table in (self.active.table, self.streams.table, self.streams.plan):
             table.picked.connect(self.graph.reveal_selection)
@@ -182,7 +175,6 @@ class DyKnowWidget(QWidget):
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
 
-    @qt_slot
     def _follow_focus(self, before: Optional[QWidget], now: Optional[QWidget]) -> None:
         if before is not None and _line_of(before) is not None:
             before.removeEventFilter(self)
@@ -206,7 +198,6 @@ class DyKnowWidget(QWidget):
         event.ignore()
         return True
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         button = self.focusWidget()
         if event.key() in (Qt.Key_Return, Qt.Key_Enter) and isinstance(button, QAbstractButton):
@@ -214,13 +205,11 @@ class DyKnowWidget(QWidget):
         else:
             super().keyPressEvent(event)
 
-    @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
             self._grey()
 
-    @qt_slot
     def _grey(self) -> None:
         """Grey the panels while their contents may be stale."""
         palette = QPalette()  # unset colours are inherited
@@ -230,18 +219,15 @@ class DyKnowWidget(QWidget):
                 palette.setColor(role, muted)
         self.tabs.setPalette(palette)
 
-    @qt_slot
     def show_keys(self) -> None:
         dialog = KeysDialog(self)
         dialog.setAttribute(Qt.WA_DeleteOnClose)
         dialog.open()
 
-    @qt_slot
     def _begin_tab(self) -> None:
         if self.tabs.currentWidget() is self.streams:
             self.streams.tag.setFocus()
 
-    @qt_slot
     def _lead_to(self, ill: Ill) -> None:
         if ill.claim:
             self._show_tab(self.streams)
@@ -250,12 +236,10 @@ class DyKnowWidget(QWidget):
             self.selection.choose_nodelets([ill.nodelet])
         self.graph.reveal_selection()
 
-    @qt_slot
     def _begin_create(self, label: str) -> None:
         self._show_tab(self.create_)
         self.create_.begin(label)
 
-    @qt_slot
     def _begin_connection(self, nodelet: str, port: str) -> None:
         self._show_tab(self.connect_)
         self.connect_.begin(nodelet, port)

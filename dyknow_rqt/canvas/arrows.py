@@ -24,7 +24,7 @@ from python_qt_binding.QtGui import (
 from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of, write
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
@@ -177,7 +177,6 @@ class EdgeItem(Item):
         stroker.setWidth(10)
         return stroker.createStroke(self.path)
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         self.paint_mark(painter, self.path)
         stroke = self.stroke()
@@ -254,7 +253,6 @@ class ArrowLabels(QObject):
     def __init__(self, scene: GraphScene) -> None:
         super().__init__(scene)
         self._scene = scene
-        self.report = scene.report
         self._calls = BackgroundCalls(1)
         #: Whether some are to be placed again, when they can be read.
         self.are_wanted = False
@@ -277,7 +275,6 @@ class ArrowLabels(QObject):
     def place_now(self) -> None:
         self._take(self._search()())
 
-    @qt_slot
     def _place(self) -> None:
         self.are_wanted = self._scene.is_far
         if not self.are_wanted:

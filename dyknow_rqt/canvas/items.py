@@ -23,7 +23,6 @@ from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
@@ -58,7 +57,7 @@ def rectangle_of(area: Rectangle) -> QRectF:
 
 
 class Item(QGraphicsRectItem):
-    """The base of all items: colours, a tone, and a way to report errors.
+    """The base of all items: colours, a tone, and a mark.
 
     It paints within its rectangle: Qt asks for that so often that Python must not answer.
 
@@ -75,10 +74,6 @@ class Item(QGraphicsRectItem):
         self.tone = Tone.NONE
         self.mark: Optional[Mark] = None
 
-    def report(self, text: str) -> None:
-        if self.scene() is not None:
-            self.scene().report(text)
-
     def change(self, **looks: object) -> None:
         """Set attributes on which its look depends, and have it painted again if they differ."""
         for name, value in looks.items():
@@ -86,11 +81,9 @@ class Item(QGraphicsRectItem):
                 setattr(self, name, value)
                 self.update()
 
-    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         self.scene().highlight(self.key)
 
-    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         self.scene().highlight(None)
 
@@ -155,7 +148,6 @@ class BoxItem(Item):
         corner = self.area.topLeft() + QPointF(8, 3)
         return QRectF(corner, metrics.size(Qt.TextSingleLine, self.name))
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         painter.setPen(QPen(self.colours.box_line, 1))
         painter.setBrush(QBrush(self.colours.box))
@@ -194,7 +186,6 @@ class PortItem(Item):
         path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
         return path
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw a dot, filled when connected; a square for a formula that does not hold."""
         large = self._hovered or bool(self.offered)
@@ -223,10 +214,8 @@ class PortItem(Item):
         left = -width - 8 if self.direction == IN else 8.0
         return QRectF(left, -metrics.height() - 3, width, metrics.height())
 
-    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=True)
 
-    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=False)

@@ -13,7 +13,6 @@ from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraphicsSimpleTextItem
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.canvas.vertices import VertexItem
@@ -37,7 +36,6 @@ class Marks(QObject):
     def __init__(self, scene: GraphScene) -> None:
         super().__init__(scene)
         self._scene = scene
-        self.report = scene.report
         #: The ends of differences, with what they mark.
         self._noted: List[Tuple[float, Difference]] = []
         self._shown = Difference()
@@ -56,7 +54,6 @@ class Marks(QObject):
         self._noted = []
         self._follow()
 
-    @qt_slot
     def _follow(self) -> None:
         """Mark the differences that have not ended."""
         now, shown = time.monotonic(), Difference()

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, Iterator, List, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, Iterable, Iterator, List, Tuple, Union
 
 from python_qt_binding.QtCore import (
     QPoint,
@@ -29,8 +29,6 @@ from python_qt_binding.QtGui import (
     QPen,
 )
 from python_qt_binding.QtWidgets import QWidget
-
-from dyknow_rqt.background_calls import qt_slot
 
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.appearance import Colours
@@ -239,9 +237,8 @@ class Minimap(QWidget):
     #: The place of the drawing that is to be in the middle.
     place_wanted = Signal(QPointF)
 
-    def __init__(self, scene: GraphScene, report: Callable[[str], None], view: QWidget) -> None:
+    def __init__(self, scene: GraphScene, view: QWidget) -> None:
         super().__init__(view)
-        self.report = report
         self._scene = scene
         self._seen = QRectF()
         self._overview = Overview()
@@ -268,7 +265,6 @@ class Minimap(QWidget):
         self.setVisible(is_useful)
         self.update()
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
         corner, scale = self._frame()
@@ -287,16 +283,13 @@ class Minimap(QWidget):
         painter.setPen(self.palette().mid().color())
         painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
 
-    @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         corner, scale = self._frame()
         self.place_wanted.emit(QPointF(event.pos()) / scale + corner)
 
-    @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         self.mousePressEvent(event)
 
-    @qt_slot
     def _look(self) -> None:
         if self.isVisible():
             self._scene.slices.want(self._picture)

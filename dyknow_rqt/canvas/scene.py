@@ -24,7 +24,7 @@ from python_qt_binding.QtGui import QFont, QPainter, QPalette
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import Slices, qt_slot
+from dyknow_rqt.background_calls import Slices
 from dyknow_rqt.canvas.appearance import Tone, colours_of, greys_of, tones_around
 from dyknow_rqt.canvas.arrows import ArrowLabels, EdgeItem
 from dyknow_rqt.canvas.facts import Facts
@@ -56,11 +56,8 @@ class GraphScene(QGraphicsScene):
     #: A ``Drawing`` is drawn.
     shown = Signal(object)
 
-    def __init__(
-        self, palette: QPalette, font: QFont, report: Callable[[str], None], parent: QObject
-    ) -> None:
+    def __init__(self, palette: QPalette, font: QFont, parent: QObject) -> None:
         super().__init__(parent)
-        self.report = report
         self.figure = Figure()
         self.vertices: Dict[str, VertexItem] = {}
         self.edges: Dict[Edge, EdgeItem] = {}
@@ -79,7 +76,7 @@ class GraphScene(QGraphicsScene):
         #: Whether a drawing has begun that is not shown yet.
         self.is_drawing = False
         self._drawing = Drawing()
-        self.slices = Slices(report, self)
+        self.slices = Slices(self)
         self.marks = Marks(self)
         self.labels = ArrowLabels(self)
         self._area: Optional[QRectF] = None
@@ -177,7 +174,6 @@ class GraphScene(QGraphicsScene):
         if self.labels.are_wanted:
             self.labels.place()
 
-    @qt_slot
     def helpEvent(self, event: Any) -> None:  # noqa: N802
         """Show a tool tip: there are too many to keep them up to date."""
         items = self.items(event.scenePos())
@@ -233,7 +229,6 @@ class GraphScene(QGraphicsScene):
         edges, vertices = list(self.edges.values()), list(self.vertices.values())
         yield from overview.painted(area, scale, self.colours.paper, boxes, edges, vertices)
 
-    @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
         """Paint the things that are not painted by items."""
         boxes = sorted(self.boxes.items(), key=lambda each: (len(each[0]), each[0]))
@@ -261,7 +256,6 @@ class GraphScene(QGraphicsScene):
             self._marked = [item for item in items if item.stands_out]
         paint_marked(painter, self._marked)
 
-    @qt_slot
     def look_again(self) -> None:
         """Have the overviews painted again: something looks different now."""
         self.slices.want(self._tell_looks)
@@ -272,7 +266,6 @@ class GraphScene(QGraphicsScene):
             self.slices.want(self._picture)
         yield
 
-    @qt_slot
     def mark(self) -> None:
         """Show the items that stand out now."""
         self._marked = None

@@ -22,7 +22,6 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.model.graph import PortRef, State
 from dyknow.model.transformation import IN, OUT
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
 from dyknow_rqt.graph.figure import Vertex, VertexKind
@@ -161,7 +160,6 @@ class VertexItem(Item):
             path.addEllipse(self.area)
         return path
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         if self.mark is not None:
             self.paint_mark(painter, self.shape())

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, Optional, Union
+from typing import Any, Dict, Iterable, Optional, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QTransform
 from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.overview import Minimap
@@ -70,10 +69,9 @@ class GraphView(QGraphicsView):
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
     menu_wanted = Signal(object, QPoint)
 
-    def __init__(self, report: Callable[[str], None]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.report = report
-        self.setScene(GraphScene(self.palette(), self.font(), report, self))
+        self.setScene(GraphScene(self.palette(), self.font(), self))
         self.setRenderHint(QPainter.Antialiasing)
         self.setFrameShape(QFrame.NoFrame)
         self.setDragMode(QGraphicsView.ScrollHandDrag)
@@ -94,7 +92,7 @@ class GraphView(QGraphicsView):
         #: The vertices that the pointer holds, with their places before they moved.
         self._starts: Dict[str, QPointF] = {}
         self._is_moving = False
-        self._minimap = Minimap(self.scene(), report, self)
+        self._minimap = Minimap(self.scene(), self)
         self._minimap.place_wanted.connect(self._show_place)
         for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
             bar.valueChanged.connect(self._follow)
@@ -159,7 +157,6 @@ class GraphView(QGraphicsView):
         self.scale(factor, factor)
         self._follow()
 
-    @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
         """Fit again, unless the user has zoomed or moved the view."""
         super().resizeEvent(event)
@@ -167,7 +164,6 @@ class GraphView(QGraphicsView):
             self.fit()
         self._follow()
 
-    @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
 
@@ -180,7 +176,6 @@ class GraphView(QGraphicsView):
 
     # Pointer
 
-    @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         """Start a connection on a port; anything else as usual."""
         is_drag = event.button() == Qt.LeftButton and self.is_editable
@@ -202,7 +197,6 @@ class GraphView(QGraphicsView):
         self.drag_began.emit(port.ref)
         self._tell_target(port, None, event.pos())
 
-    @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         if self._starts and event.buttons() & Qt.LeftButton:
             self._is_moving = self._is_moving or self._is_far_from_press(event.pos())
@@ -220,7 +214,6 @@ class GraphView(QGraphicsView):
         self.wire.lead(start, self.mapToScene(event.pos()))
         self._tell_target(start, self._target_at(event.pos()), event.pos())
 
-    @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
         start = self._drag_start()
         if start is None:
@@ -237,12 +230,10 @@ class GraphView(QGraphicsView):
         if target != start.ref and way.manhattanLength() >= QApplication.startDragDistance():
             self.dropped.emit(start.ref, target, self.mapToScene(event.pos()))
 
-    @qt_slot
     def leaveEvent(self, event: Any) -> None:  # noqa: N802
         super().leaveEvent(event)
         self.scene().highlight(None)
 
-    @qt_slot
     def mouseDoubleClickEvent(self, event: Any) -> None:  # noqa: N802
         item = self._item_at(event.pos())
         group = self.scene().box_at(self.mapToScene(event.pos()))
@@ -253,7 +244,6 @@ class GraphView(QGraphicsView):
         else:
             super().mouseDoubleClickEvent(event)
 
-    @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
         """Request a menu on the item under the pointer, or on the selection."""
         if event.reason() == event.Keyboard:
@@ -276,7 +266,6 @@ class GraphView(QGraphicsView):
             return True
         return bool(super().event(event))
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         """Arrow keys select the next item in their direction; with Ctrl they move the view."""
         key = event.key()
@@ -323,14 +312,12 @@ class GraphView(QGraphicsView):
 
     # Inside
 
-    @qt_slot
     def _follow(self) -> None:
         self.scene().set_zoom(self.zoom * self.devicePixelRatioF(), self.seen)
         if self.scene().has_sticky_titles(self.seen):
             self.viewport().update()  # they do not move with the drawing
         self._minimap.follow(self.seen)
 
-    @qt_slot
     def _show_place(self, place: QPointF) -> None:
         self.is_chosen = True
         self.centerOn(place)

@@ -15,7 +15,6 @@ from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import (
     choose_topic,
@@ -126,31 +125,26 @@ class ConnectPanel(Panel):
         self.single.choose(ref)
         self.source.nodelet.setFocus()
 
-    @qt_slot
     def showEvent(self, event: QEvent) -> None:  # noqa: N802
         """Catch up with changes that were missed while it was hidden."""
         super().showEvent(event)
         self._follow()
 
-    @qt_slot
     def _connect(self) -> None:
         source, sink = self.source.ref, self.sink.ref
         if source is not None and sink is not None:
             self._monitor.do(connect(self._monitor.snapshot, source, sink))
 
-    @qt_slot
     def _connect_topic(self) -> None:
         ref = self.single.ref
         if ref is not None and self.topic.text().strip():
             self._monitor.do(connect_topic(self._monitor.snapshot, ref, self.topic.text().strip()))
 
-    @qt_slot
     def _disconnect(self) -> None:
         ref = self.single.ref
         if ref is not None:
             self._monitor.do(disconnect(self._monitor.snapshot, (ref,)))
 
-    @qt_slot
     def _follow(self) -> None:
         """Offer the fitting topics; choices that still fit are kept. Only where it is seen."""
         if not self.isVisible():

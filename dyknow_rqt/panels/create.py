@@ -28,7 +28,6 @@ from dyknow.manager.specifications.given import filling_variables, variables
 from dyknow.model.graph import NodeletStatus, SpawnRequest
 from dyknow.model.placeholders import fill
 from dyknow.model.transformation import Parameter, Transformation
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import set_parameters, spawn
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import free_name
@@ -155,7 +154,6 @@ class CreatePanel(Panel):
         else:
             self.label.setFocus()
 
-    @qt_slot
     def _create(self) -> None:
         if not self.create.isEnabled():
             return
@@ -177,7 +175,6 @@ class CreatePanel(Panel):
         if self.name.text() == name:
             self.name.clear()
 
-    @qt_slot
     def _follow(self) -> None:
         library = self._monitor.library
         transformation = library.get(self.label.currentText().strip())
@@ -191,7 +188,6 @@ class CreatePanel(Panel):
             lines += [f"        {tag}" for tag in port.tags]
         self.ports.setText("\n".join(lines) or "–")
 
-    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
         with QSignalBlocker(self.label):
@@ -200,7 +196,6 @@ class CreatePanel(Panel):
             self.label.setCurrentText(text)
         self._follow()
 
-    @qt_slot
     def _show_managers(self, snapshot: Snapshot) -> None:
         found = sorted(
             {each.manager for each in snapshot.nodelets if each.manager and not each.isolated}
@@ -225,7 +220,6 @@ class ParametersDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WA_DeleteOnClose)
         self.setWindowTitle(f"Parameters of {nodelet.name}")
-        self.report = monitor.report
         self._monitor, self._name = monitor, nodelet.name
         given = {each.name: each for each in nodelet.parameters}
         bound = {name: each.text for name, each in given.items()}
@@ -248,7 +242,6 @@ class ParametersDialog(QDialog):
         self.buttons.rejected.connect(self.reject)
         column_in(self, form, self.buttons)
 
-    @qt_slot
     def _set(self) -> None:
         """Set the parameters whose values were edited."""
         texts = {name: field.text() for name, field in self.fields.items()}
@@ -261,7 +254,7 @@ class ParametersDialog(QDialog):
         if name.strip() and equals:
             wanted.append(Parameter(name.strip(), "", text.strip()))
         elif self.more.text().strip():
-            self.report(
+            self._monitor.failed.emit(
                 f"'{self.more.text()}' sets no parameter; expected NAME=VALUE, such as rate=5"
             )
             return

@@ -12,7 +12,6 @@ from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import add_transformations, destroy, protect, remove_transformations
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
 from dyknow_rqt.monitor import GraphMonitor
@@ -49,7 +48,6 @@ class ActivePanel(Panel):
         self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
 
-    @qt_slot
     def ask_to_destroy(self, names: Sequence[str]) -> None:
         why_not = not_destroyed(names, self._monitor.snapshot)
         if why_not:
@@ -61,24 +59,19 @@ class ActivePanel(Panel):
             question = "\n".join([f"Destroy {len(names)} nodelets?", *names])
         self._line.ask(question, "Destroy", lambda: self._do_in_turn(changes))
 
-    @qt_slot
     def _destroy_chosen(self) -> None:
         if self._selection.nodelets:
             self.ask_to_destroy(self._selection.nodelets)
 
-    @qt_slot
     def _protect_chosen(self) -> None:
         self.set_protection(*protection(self._selection.nodelets, self._monitor.snapshot))
 
-    @qt_slot
     def set_protection(self, names: Sequence[str], on: bool) -> None:
         self._do_in_turn([protect(name, on) for name in names])
 
-    @qt_slot
     def _want_menu(self, place: QPoint) -> None:
         self.menu_wanted.emit(self.table.viewport().mapToGlobal(place))
 
-    @qt_slot
     def _show(self, snapshot: Snapshot) -> None:
         rows = []
         for nodelet in snapshot.nodelets:
@@ -99,7 +92,6 @@ class ActivePanel(Panel):
         self.table.show_rows(rows)
         self._follow_selection()
 
-    @qt_slot
     def _follow_selection(self) -> None:
         names = self._selection.nodelets
         self.table.follow(names)
@@ -152,20 +144,17 @@ class LibraryPanel(Panel):
             file.write(as_specification(chosen))
         self._line.note(f"{len(chosen)} transformations written to {path}")
 
-    @qt_slot
     def _ask_what_to_import(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Import transformations", "", _FILES)
         if path:
             self.import_file(path)
 
-    @qt_slot
     def _ask_where_to_export(self) -> None:
         name = "transformations.xml"
         path, _ = QFileDialog.getSaveFileName(self, "Export transformations", name, _FILES)
         if path:
             self.export_file(path)
 
-    @qt_slot
     def _ask_to_delete(self) -> None:
         labels = self.table.chosen()
         if labels:
@@ -173,12 +162,10 @@ class LibraryPanel(Panel):
             question = f"{change.text[0].upper()}{change.text[1:]} from the library?"
             self._line.ask(question, "Delete", lambda: self._monitor.do(change))
 
-    @qt_slot
     def _want_create(self) -> None:
         for label in self.table.chosen()[:1]:
             self.create_wanted.emit(label)
 
-    @qt_slot
     def _show(self, library: Mapping[str, Transformation]) -> None:
         rows = []
         for label in sorted(library):
@@ -190,7 +177,6 @@ class LibraryPanel(Panel):
         self.table.show_rows(rows)
         self._follow_selection()
 
-    @qt_slot
     def _follow_selection(self) -> None:
         labels = self.table.chosen()
         library = self._monitor.library

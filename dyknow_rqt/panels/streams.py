@@ -25,7 +25,6 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import OUT, Transformation
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
 from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
@@ -118,7 +117,6 @@ class StreamsPanel(Panel):
             require=self.require.text().strip(),
         )
 
-    @qt_slot
     def _preview(self) -> None:
         """Show how a stream would be made, and then the next best ways."""
         request = self.request()
@@ -129,7 +127,6 @@ class StreamsPanel(Panel):
 
         self._explain(request, lambda way: self._add_next_ways(without, way))
 
-    @qt_slot
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
         request = self.request()
@@ -153,7 +150,7 @@ class StreamsPanel(Panel):
 
         def take(found: Acquisition) -> None:
             if found.warnings:
-                self._monitor.report("\n".join(found.warnings))
+                self._monitor.failed.emit("\n".join(found.warnings))
             show(found.plan)
 
         if request.tag:
@@ -183,11 +180,9 @@ class StreamsPanel(Panel):
 
     # What there is
 
-    @qt_slot
     def _release(self) -> None:
         self._do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
 
-    @qt_slot
     def _replan(self) -> None:
         """Show the plan that is the cheapest now, and ask whether to switch to it."""
         for stream in self._chosen()[:1]:
@@ -215,7 +210,6 @@ class StreamsPanel(Panel):
 
         self._monitor.ask(lambda client: client.replan_stream(stream.claim_id, dry_run=True), ask)
 
-    @qt_slot
     def _show_streams(self) -> None:
         rows = []
         for each in self._monitor.streams:
@@ -236,7 +230,6 @@ class StreamsPanel(Panel):
                 self._explained = each.claim_id
         self._show_way(self._explained)
 
-    @qt_slot
     def _show_way(self, claim: str) -> None:
         """Show how a stream is made now, also after a repair."""
         stream = self._monitor.stream(claim)
@@ -253,37 +246,30 @@ class StreamsPanel(Panel):
     def _say(self, text: str) -> None:
         self._show_plan(read_way(text))
 
-    @qt_slot
     def _begin_question(self) -> int:
         self._question += 1
         return self._question
 
-    @qt_slot
     def _forget_plan(self) -> None:
         self.planned.emit([])
 
-    @qt_slot
     def hideEvent(self, event: QEvent) -> None:  # noqa: N802
         """Draw no plan that is not shown."""
         super().hideEvent(event)
         self._forget_plan()
 
-    @qt_slot
     def choose(self, claims: Sequence[str]) -> None:
         self._selection.choose_claims(claims)
         for claim in claims[:1]:
             self._begin_question()
             self._show_way(claim)
 
-    @qt_slot
     def _show_present_way(self) -> None:
         self._show_way(self._explained)
 
-    @qt_slot
     def _complete_tag(self, text: str) -> None:
         self._offered.setStringList(tag_completions(text, self._tags))
 
-    @qt_slot
     def _show_event(self, event: StreamEvent) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
@@ -292,14 +278,12 @@ class StreamsPanel(Panel):
             + (f" ({event.reason})" if event.reason else "")
         )
 
-    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         outputs = [p for each in library.values() for p in each.ports if p.direction == OUT]
         self._tags = sorted({tag for port in outputs for tag in port.tags})
         self._offered.setStringList(self._tags)
         self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
 
-    @qt_slot
     def _follow(self) -> None:
         for button in (self.preview, self.acquire):
             button.setEnabled(bool(self.tag.text().strip()))

@@ -27,7 +27,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import Change
 from dyknow_rqt.graph.ways import Way
 from dyknow_rqt.monitor import GraphMonitor
@@ -41,7 +40,6 @@ class Panel(QWidget):
     def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
         super().__init__()
         self._monitor, self._line = monitor, line
-        self.report = line.report
 
     def _do_in_turn(self, changes: Sequence[Change]) -> None:
         """Make changes one after the other, up to the first that is refused."""
@@ -226,13 +224,11 @@ class KeyedTable(QTableView):
             if self.chosen():
                 self.scrollTo(self.selectionModel().selectedRows()[0])
 
-    @qt_slot
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
         """Tell which rows are selected."""
         super().selectionChanged(now, before)
         self.picked.emit(self.chosen())
 
-    @qt_slot
     def _filter_rows(self, text: str) -> None:
         chosen = self.chosen()
         with QSignalBlocker(self):
@@ -283,14 +279,12 @@ class WayTree(QTreeWidget):
         for number in range(1, self.topLevelItemCount()):
             self.topLevelItem(number).setExpanded(False)
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         if event.matches(QKeySequence.Copy):
             QGuiApplication.clipboard().setText(self.text)
         else:
             super().keyPressEvent(event)
 
-    @qt_slot
     def _pick(self) -> None:
         names = [item.text(2).partition(" as ")[2] for item in self.selectedItems()]
         self.picked.emit([name for name in names if name])
