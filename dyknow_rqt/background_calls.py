@@ -9,7 +9,7 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Callable, Deque, Dict, Iterator, Optional, Set, TypeVar
+from typing import Callable, Iterator, TypeVar
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
@@ -29,11 +29,11 @@ class BackgroundCalls(QObject):
         """Start the threads for so many calls at a time; in the thread of the window."""
         super().__init__()
         self._closed = threading.Event()
-        self._results: Deque[Callable[[], None]] = deque()
+        self._results: deque[Callable[[], None]] = deque()
         self._turns = QTimer(self, interval=0, timeout=self._deliver)
         self._delivered.connect(self._turns.start)
         #: Calls that run one at a time, each with the call that follows it.
-        self._once: Dict[str, Optional[Callable[[], None]]] = {}
+        self._once: dict[str, Callable[[], None] | None] = {}
         self._workers = Workers("dyknow_rqt worker", count)
 
     @property
@@ -125,8 +125,8 @@ class Slices(QObject):
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
         self.is_working = False
-        self._steps: Dict[Job, Iterator[None]] = {}
-        self._again: Set[Job] = set()
+        self._steps: dict[Job, Iterator[None]] = {}
+        self._again: set[Job] = set()
         self._timer = QTimer(self, interval=0)
         self._timer.timeout.connect(self.go_on)
 

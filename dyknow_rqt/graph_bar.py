@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Iterable, List, Union
+from typing import Any, Iterable
 
 from python_qt_binding.QtCore import QByteArray, QEvent, QSize, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QIcon, QKeySequence, QPainter, QPalette, QPixmap
@@ -85,10 +85,10 @@ class GraphBar(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.collapsed: FrozenSet[Group] = frozenset()
+        self.collapsed: frozenset[Group] = frozenset()
         self.tools = QToolBar()
         self.tools.setToolButtonStyle(Qt.ToolButtonTextUnderIcon)
-        self._icons: Dict[str, QAction] = {}
+        self._icons: dict[str, QAction] = {}
         self.panel = self._add("Pa&nel", "view-sidetree", "Show the control panel", "F9")
         self.panel.setCheckable(True)
         self.panel.setChecked(True)
@@ -132,7 +132,7 @@ class GraphBar(QWidget):
         self.show_history("", "")
 
     @property
-    def actions_with_keys(self) -> List[QAction]:
+    def actions_with_keys(self) -> list[QAction]:
         found = [action for action in self.tools.actions() if action.shortcuts()]
         return [*found, self.find, self.find_next, self.next_ill, self.keys]
 
@@ -171,7 +171,7 @@ class GraphBar(QWidget):
         if self.chosen(name) != number:
             action.trigger()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         is_filtered = self.filter.isChecked()
         return {
@@ -180,7 +180,7 @@ class GraphBar(QWidget):
             "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
         }
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
         for name, option in self.settings.items():
             count = 2 if isinstance(option, QAction) else len(option.actions())
@@ -227,7 +227,7 @@ class GraphBar(QWidget):
     def _menu_of_options(self) -> QMenu:
         menu = QMenu(self)
         menu.setToolTipsVisible(True)
-        self.settings: Dict[str, Union[QAction, QActionGroup]] = {}
+        self.settings: dict[str, QAction | QActionGroup] = {}
         for name, title, texts, first in _CHOICES:
             group = self.settings[name] = QActionGroup(self)
             for text in texts:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, Signal
 from python_qt_binding.QtWidgets import QMenu, QWidget
@@ -165,7 +165,7 @@ class GraphEdits(QObject):
         elif self._selection.nodelets:
             self.destroy_wanted.emit(self._selection.nodelets)
 
-    def disconnect_ports(self, refs: Tuple[PortRef, ...]) -> None:
+    def disconnect_ports(self, refs: tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
 
     def restart(self, nodelets: Sequence[str]) -> None:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import List, Tuple
 
 from python_qt_binding.QtCore import QRectF
 from python_qt_binding.QtGui import QImage, QPainter
@@ -48,13 +47,13 @@ class GraphFiles:
     def save(self, path: str) -> None:
         """Write the nodelets, their connections and their transformations to a file."""
 
-        def write(client: BaseManagerClient) -> Tuple[int, List[str]]:
+        def write(client: BaseManagerClient) -> tuple[int, list[str]]:
             wiring, left_out = wiring_of(client.get_model(), pins(client.list_hosts()))
             with open(path, "w", encoding="utf-8") as file:
                 file.write(wiring.to_xml())
             return len(wiring.nodelets), [each.name for each in left_out]
 
-        def say(written: Tuple[int, List[str]]) -> None:
+        def say(written: tuple[int, list[str]]) -> None:
             count, left_out = written
             text = f"{count} nodelet{'' if count == 1 else 's'} saved in {path}"
             if left_out:

@@ -14,10 +14,8 @@ from typing import (
     Iterable,
     Iterator,
     NamedTuple,
-    Optional,
     Sequence,
     Sized,
-    Tuple,
 )
 
 from python_qt_binding.QtCore import QProcess
@@ -148,8 +146,8 @@ class Viewer(NamedTuple):
     """
 
     title: str
-    words: Tuple[str, ...]
-    is_for_images: Optional[bool] = None
+    words: tuple[str, ...]
+    is_for_images: bool | None = None
 
     def is_there(self) -> bool:
         programs = ("rostopic", self.words[0]) if self.words[:4] == _TERMINAL else self.words[:1]

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Mapping, Optional, Sequence
+from typing import Any, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer
 from python_qt_binding.QtWidgets import QMenu, QVBoxLayout, QWidget
@@ -134,7 +134,7 @@ class GraphPanel(QWidget):
         self.edits.places.forget()
         self.tidy()
 
-    def _show_moment(self, moment: Optional[GraphMoment], found: Difference) -> None:
+    def _show_moment(self, moment: GraphMoment | None, found: Difference) -> None:
         """Show the graph as it was, without rates, or as it is."""
         scene, is_past = self.view.scene(), moment is not None
         scene.show_past(is_past)
@@ -165,11 +165,11 @@ class GraphPanel(QWidget):
         self._wants_move = True
         self.redraw()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         return {**self.bar.state(), "places": self.edits.places.to_text()}
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
         self.edits.places.read(str(state.get("places", "")))
         self.bar.restore(state)
@@ -212,7 +212,7 @@ class GraphPanel(QWidget):
 
     # Menus and selection
 
-    def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
+    def _show_menu(self, item: Item | None, place: QPoint) -> None:
         """Show the menu of a port, of the background, or of the selection with the item."""
         snapshot, edits = self._monitor.snapshot, self.edits
         if not self.view.is_editable:
@@ -334,7 +334,7 @@ class GraphPanel(QWidget):
             edit.mended.connect(self._line.withdraw)
         self.edits.topic_wanted.connect(self.card.show_topic)
 
-    def _ask_transports(self, nodes: FrozenSet[str]) -> None:
+    def _ask_transports(self, nodes: frozenset[str]) -> None:
         scene, remote = self.view.scene(), self._monitor.remote
         self._monitor.ask(
             lambda client: remote.transports(nodes), scene.set_transports, lambda why: None

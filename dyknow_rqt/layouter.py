@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
@@ -38,7 +38,7 @@ class _Plan:
     """An order with its parts, and what graphviz is given for each of them."""
 
     order: DrawingOrder
-    parts: Tuple[Piece, ...]
+    parts: tuple[Piece, ...]
     texts: Mapping[Piece, str]
 
 
@@ -59,15 +59,15 @@ class Layouter(QObject):
         self._program = program
         self._budget = budget
         self._calls = BackgroundCalls(1)
-        self._next: Optional[DrawingOrder] = None
-        self._plan: Optional[_Plan] = None
+        self._next: DrawingOrder | None = None
+        self._plan: _Plan | None = None
         self._is_busy = False
         #: Whether an order that is not laid out as a whole is to be anew.
         self._is_anew = False
         #: What graphviz was given, with the layout; None if it failed.
-        self._made: Dict[str, Optional[Layout]] = {}
+        self._made: dict[str, Layout | None] = {}
         #: Parts that it lays out now, with their texts.
-        self._running: List[Tuple[Piece, str]] = []
+        self._running: list[tuple[Piece, str]] = []
         self._is_unwanted = False
         self._drawing = Drawing()
         self._process = QProcess(self)
@@ -111,7 +111,7 @@ class Layouter(QObject):
         self._go_on()
 
     @property
-    def _missing(self) -> List[Tuple[Piece, str]]:
+    def _missing(self) -> list[tuple[Piece, str]]:
         """What graphviz has yet to lay out: all small parts, or else one that is large."""
         texts = self._plan.texts.items() if self._plan is not None else ()
         found = [(part, text) for part, text in texts if text not in self._made]
@@ -138,7 +138,7 @@ class Layouter(QObject):
         is_crash = self._process.exitStatus() == QProcess.CrashExit
         is_there = is_crash or self._process.exitCode() != _NOT_FOUND
 
-        def take(made: Dict[str, Optional[Layout]]) -> None:
+        def take(made: dict[str, Layout | None]) -> None:
             self._running, self._is_unwanted = [], False
             if None in made.values():
                 why = "cannot be run; is graphviz installed?"
@@ -196,10 +196,10 @@ def _planned(order: DrawingOrder) -> _Plan:
     return _Plan(order, parts, texts)
 
 
-def _read(answer: bytes, running: Sequence[Tuple[Piece, str]]) -> Dict[str, Optional[Layout]]:
+def _read(answer: bytes, running: Sequence[tuple[Piece, str]]) -> dict[str, Layout | None]:
     """Read the layouts of some parts by their texts; None for one that graphviz has not made."""
     graphs: Mapping[str, Any] = read_graphs(answer.decode("utf-8", "replace"))
-    made: Dict[str, Optional[Layout]] = {}
+    made: dict[str, Layout | None] = {}
     for number, (part, text) in enumerate(running):
         try:
             made[text] = read_layout(graphs.get(f"g{number}"), part.figure)

@@ -9,7 +9,6 @@ import argparse
 import os
 import signal
 import sys
-from typing import List, Optional
 
 from python_qt_binding.QtCore import QSettings, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication, QMainWindow
@@ -47,7 +46,7 @@ def _has_screen() -> bool:
     return not sys.platform.startswith("linux") or any(map(os.environ.get, given))
 
 
-def main(argv: Optional[List[str]] = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the window until it is closed; returns the exit code."""
     words = myargv(argv if argv is not None else sys.argv)
     parser = argparse.ArgumentParser(

@@ -17,12 +17,8 @@ from typing import (
     TYPE_CHECKING,
     Any,
     Callable,
-    Deque,
-    Dict,
     FrozenSet,
-    Optional,
     Sequence,
-    Set,
     Tuple,
     TypeVar,
 )
@@ -96,8 +92,8 @@ class GraphMonitor(QObject):
         self.remote = remote
         self._client = remote.client
         self.snapshot = Snapshot()
-        self.library: Dict[str, Transformation] = {}
-        self.streams: Tuple[StreamStatus, ...] = ()
+        self.library: dict[str, Transformation] = {}
+        self.streams: tuple[StreamStatus, ...] = ()
         self.heart = Heartbeat(remote)
         self.heart.linked.connect(self._follow_link)
         self.heart.listed.connect(self._take_streams)
@@ -105,7 +101,7 @@ class GraphMonitor(QObject):
             signal.connect(self.heart.list_streams)
         self.history = UndoHistory()
         #: Nodelets and their transformations; whether the next model may be another manager's.
-        self._made: Set[Tuple[str, str]] = set()
+        self._made: set[tuple[str, str]] = set()
         self._is_another = False
         #: How often the manager, or another one, has begun to answer.
         self._link = 0
@@ -114,14 +110,14 @@ class GraphMonitor(QObject):
         self._revision = -1
         self._library_revision = -1
         self._changing = False
-        self._waiting: Deque[Callable[[], None]] = deque()
-        self._system: Tuple[Side, Side] = ((), ())
+        self._waiting: deque[Callable[[], None]] = deque()
+        self._system: tuple[Side, Side] = ((), ())
         self._system_due = 0.0
         self._timer = QTimer(self, interval=_PERIOD, timeout=self.look)
-        self._heard: Optional[Model] = None
+        self._heard: Model | None = None
         self._drawing = QTimer(self, interval=0, singleShot=True, timeout=self._take_heard)
         #: The last verdicts by topic, None before the first one.
-        self._verdicts: Dict[str, Optional[Verdict]] = {}
+        self._verdicts: dict[str, Verdict | None] = {}
         self._gathering = QTimer(
             self, interval=_GATHERING, singleShot=True, timeout=self._tell_verdicts
         )
@@ -150,12 +146,12 @@ class GraphMonitor(QObject):
         return self.heart.status.is_current
 
     @property
-    def traffic(self) -> Dict[PortRef, PortRate]:
+    def traffic(self) -> dict[PortRef, PortRate]:
         """The traffic of ports, as it was measured last."""
         return dict(self._meter.traffic)
 
     @property
-    def strains(self) -> Dict[str, Strain]:
+    def strains(self) -> dict[str, Strain]:
         """The loads that make nodelets stand out, by name."""
         return dict(self._meter.strains)
 
@@ -164,7 +160,7 @@ class GraphMonitor(QObject):
         """Whether a change is under way, or waits for that or for the graph to be read."""
         return self._changing or bool(self._waiting)
 
-    def stream(self, claim_id: str) -> Optional[StreamStatus]:
+    def stream(self, claim_id: str) -> StreamStatus | None:
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
     def look(self) -> None:
@@ -181,7 +177,7 @@ class GraphMonitor(QObject):
         self,
         question: Callable[[BaseManagerClient], T],
         then: Callable[[T], None],
-        failed: Optional[Callable[[str], None]] = None,
+        failed: Callable[[str], None] | None = None,
     ) -> None:
         """Call the remote side in the background.
 
@@ -282,7 +278,7 @@ class GraphMonitor(QObject):
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
 
-        def work() -> Tuple[DoneChange, Optional[_Look]]:
+        def work() -> tuple[DoneChange, _Look | None]:
             done = job()
             try:
                 return done, self._looked(self._whole_graph)
@@ -303,7 +299,7 @@ class GraphMonitor(QObject):
             self.look()
             self._go_on()
 
-        def made(result: Tuple[DoneChange, Optional[_Look]]) -> None:
+        def made(result: tuple[DoneChange, _Look | None]) -> None:
             done, look = result
             self._is_another = False  # it has made the change that was sent before its link
             if look is not None:
@@ -345,7 +341,7 @@ class GraphMonitor(QObject):
             pass  # the master's last state is shown
         return link, model, nodes, taken
 
-    def _system_state(self) -> Tuple[Side, Side]:
+    def _system_state(self) -> tuple[Side, Side]:
         """Ask the master, unless its answers took a large part of the time; in the background."""
         start = time.monotonic()
         if start >= self._system_due:
@@ -386,7 +382,7 @@ class GraphMonitor(QObject):
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
     def _take_model(
-        self, model: Model, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
+        self, model: Model, nodes: tuple[PlainNode, ...], taken: frozenset[str]
     ) -> None:
         self._revision = model.revision
         made = {(each.name, each.transformation) for each in model.nodelets}

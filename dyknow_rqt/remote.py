@@ -9,7 +9,7 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import AbstractSet, Callable, Collection, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Sequence
 
 from dyknow.formulas import Verdict
 from dyknow.model.client import BaseManagerClient
@@ -56,7 +56,7 @@ class Remote(ABC):
         """Listen to the model, events of streams and counts."""
 
     @abstractmethod
-    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+    def follow_verdicts(self, sources: AbstractSet[tuple[str, str]]) -> None:
         """Listen to the verdicts of these nodes on these topics alone.
 
         It returns at once, and is called after ``start`` in the thread of the window.
@@ -89,7 +89,7 @@ class Remote(ABC):
         """Return the graph, as it was received last or else as the manager answers."""
 
     @abstractmethod
-    def system_state(self) -> Tuple[Side, Side]:
+    def system_state(self) -> tuple[Side, Side]:
         """Ask the master for the publishers and subscribers of all topics."""
 
     @abstractmethod

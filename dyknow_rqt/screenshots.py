@@ -13,7 +13,7 @@ import math
 import os
 import sys
 import time
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QMouseEvent, QPalette
@@ -70,7 +70,7 @@ def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
         QTest.qWait(20)
 
 
-def main(argv: Optional[List[str]] = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Take all pictures; returns the exit code."""
     parser = argparse.ArgumentParser("python3 -m dyknow_rqt.screenshots", description=__doc__)
     parser.add_argument(

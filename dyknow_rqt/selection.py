@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterable, List, Union
+from typing import Iterable, Union
 
 from python_qt_binding.QtCore import QObject, Signal
 
@@ -34,23 +34,23 @@ class Selection(QObject):
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
         self._monitor = monitor
-        self.keys: FrozenSet[Key] = frozenset()
-        self.claims: FrozenSet[str] = frozenset()
+        self.keys: frozenset[Key] = frozenset()
+        self.claims: frozenset[str] = frozenset()
         monitor.changed.connect(self._follow_graph)
         monitor.streams_changed.connect(self._follow_streams)
 
     @property
-    def nodelets(self) -> List[str]:
+    def nodelets(self) -> list[str]:
         return self.names(VertexKind.NODELET)
 
-    def names(self, kind: VertexKind) -> List[str]:
+    def names(self, kind: VertexKind) -> list[str]:
         """Names of the selected vertices of a kind, sorted."""
         start = key_of(kind, "")
         texts = (key for key in self.keys if not isinstance(key, Edge))
         return sorted(key[len(start) :] for key in texts if key.startswith(start))
 
     @property
-    def edges(self) -> List[Edge]:
+    def edges(self) -> list[Edge]:
         return sorted(key for key in self.keys if isinstance(key, Edge))
 
     def choose(self, keys: Iterable[Key], claims: Iterable[str] = ()) -> None:

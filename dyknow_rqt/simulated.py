@@ -9,7 +9,7 @@ For tests of the window, and for its pictures.
 from __future__ import annotations
 
 import contextlib
-from typing import AbstractSet, Callable, Collection, Dict, Iterable, List, Tuple
+from typing import AbstractSet, Callable, Collection, Iterable
 
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.formulas import Truth, Verdict
@@ -45,20 +45,20 @@ class SimulatedRemote(Remote):
         self.has_master = True
         self.address = "rosrpc://localhost:40001"
         self.client: SimulatedManagerClient = SimulatedManagerClient()
-        self.publishers: Dict[str, List[str]] = {}
-        self.subscribers: Dict[str, List[str]] = {}
+        self.publishers: dict[str, list[str]] = {}
+        self.subscribers: dict[str, list[str]] = {}
         self.connected: Transports = {}
-        self.followed: AbstractSet[Tuple[str, str]] = frozenset()
-        self.listeners: Dict[str, List[Callable[[Sample], None]]] = {}
-        self._samples: Dict[str, Sample] = {}
-        self._verdicts: Dict[str, Verdict] = {}
+        self.followed: AbstractSet[tuple[str, str]] = frozenset()
+        self.listeners: dict[str, list[Callable[[Sample], None]]] = {}
+        self._samples: dict[str, Sample] = {}
+        self._verdicts: dict[str, Verdict] = {}
         self._counting = PeriodicWorker("simulated counts", self._count, _COUNTS_PERIOD)
 
     def start(self) -> None:
         self.client.on_model, self.client.on_event = self.on_model, self.on_event
         self._counting.start()
 
-    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+    def follow_verdicts(self, sources: AbstractSet[tuple[str, str]]) -> None:
         self.followed = sources
         self._hand_on(self._verdicts)
 
@@ -95,7 +95,7 @@ class SimulatedRemote(Remote):
     def graph(self) -> Model:
         return self.client.get_graph()
 
-    def system_state(self) -> Tuple[Side, Side]:
+    def system_state(self) -> tuple[Side, Side]:
         """Return the ordinary nodes only."""
         self._ask_master()
         return sorted(self.publishers.items()), sorted(self.subscribers.items())
@@ -198,11 +198,11 @@ def soccer() -> SimulatedRemote:
     return remote
 
 
-def _rows(table: str) -> List[List[str]]:
+def _rows(table: str) -> list[list[str]]:
     return [[cell.strip() for cell in row.split(";")] for row in table.strip().splitlines()]
 
 
-def _transformation(row: List[str]) -> Transformation:
+def _transformation(row: list[str]) -> Transformation:
     label, source, *ports = row
     parameters = _PARAMETERS.get(label, ())
     return Transformation(label, source, parameters=parameters, ports=tuple(map(_port, ports)))

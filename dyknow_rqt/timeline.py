@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any
 
 from python_qt_binding.QtCore import QRectF, Qt, Signal
 from python_qt_binding.QtGui import QColor, QPainter, QPen
@@ -37,8 +37,8 @@ class MomentTrack(QWidget):
         super().__init__()
         self._moments = moments
         #: The chosen moment and the one it is compared with; None for the present.
-        self.moment: Optional[GraphMoment] = None
-        self.anchor: Optional[GraphMoment] = None
+        self.moment: GraphMoment | None = None
+        self.anchor: GraphMoment | None = None
         self.setFocusPolicy(Qt.StrongFocus)
         self.setAccessibleName("Time-line")
         self.setToolTip(
@@ -46,7 +46,7 @@ class MomentTrack(QWidget):
             "with Shift to compare with another moment; End: now"
         )
 
-    def choose(self, moment: Optional[GraphMoment], is_anchor: bool = False) -> None:
+    def choose(self, moment: GraphMoment | None, is_anchor: bool = False) -> None:
         """Show a moment; the last one is the present."""
         every = self._moments.all
         moment = None if every and moment is every[-1] else moment
@@ -58,9 +58,9 @@ class MomentTrack(QWidget):
         self.update()
         self.chosen.emit()
 
-    def lanes(self) -> List[Tuple[str, str]]:
+    def lanes(self) -> list[tuple[str, str]]:
         """Ids and tags of the claims whose states are shown: the latest."""
-        found: Dict[str, str] = {}
+        found: dict[str, str] = {}
         for moment in self._moments.all:
             found.update((each.claim_id, each.bound_tag) for each in moment.streams)
         return list(found.items())[-_LANES:]
@@ -153,7 +153,7 @@ class TimelinePanel(QWidget):
         self.hide()
 
     @property
-    def moment(self) -> Optional[GraphMoment]:
+    def moment(self) -> GraphMoment | None:
         """The moment that is shown; None for the present."""
         return self.track.moment
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
 from python_qt_binding.QtGui import (
@@ -55,7 +55,7 @@ class Curve(QWidget):
         super().__init__()
         self.setFixedHeight(44)
         self.setAccessibleName("Curve")
-        self.points: Deque[Tuple[float, float]] = deque()
+        self.points: deque[tuple[float, float]] = deque()
 
     def clear(self) -> None:
         self.points.clear()
@@ -107,7 +107,7 @@ class TopicCard(QWidget):
         self._has_failed = False
         self._refs: Sequence[PortRef] = ()
         self._sinks: Sequence[PortRef] = ()
-        self._sample: Optional[Sample] = None
+        self._sample: Sample | None = None
         self._came, self._why = 0.0, ""
         self._title, self.facts, self.image = QLabel(), QLabel(), QLabel()
         self.text = text_of("Last message")
@@ -153,7 +153,7 @@ class TopicCard(QWidget):
         right, bottom = room.width() - width - _MARGIN, room.height() - height - _MARGIN
         areas = [QRect(x, y, width, height) for y in (_MARGIN, bottom) for x in (right, _MARGIN)]
 
-        def hidden(area: QRect) -> Tuple[bool, int]:
+        def hidden(area: QRect) -> tuple[bool, int]:
             items = self._view.items(area)
             return any(topic_of(item) == self.topic for item in items), len(items)
 
@@ -189,7 +189,7 @@ class TopicCard(QWidget):
         self._number += 1
         number, topic, datatype = self._number, self.topic, self._datatype
         is_over = threading.Event()
-        ends: List[Callable[[], None]] = []
+        ends: list[Callable[[], None]] = []
 
         def hear(sample: Sample) -> None:
             self._calls.deliver(lambda: self._take(number, sample))

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import html
-from typing import Iterable, List, Optional
+from typing import Iterable
 
 from python_qt_binding.QtCore import QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont, QPalette
@@ -56,7 +56,7 @@ def field_of(placeholder: str, tip: str = "", name: str = "") -> QLineEdit:
     return QLineEdit(placeholderText=placeholder, toolTip=tip, accessibleName=name)
 
 
-def form_in(parent: Optional[QWidget] = None) -> QFormLayout:
+def form_in(parent: QWidget | None = None) -> QFormLayout:
     """A form whose fields use all of the width."""
     form = QFormLayout(parent)
     form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
@@ -90,7 +90,7 @@ class FilterEdit(QLineEdit):
     def __init__(self, what: str) -> None:
         super().__init__()
         self.filter = Filter()
-        self._names: List[str] = []
+        self._names: list[str] = []
         self._complaint = ""
         self.setPlaceholderText(f"all {what}")
         self.setClearButtonEnabled(True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import Any, Dict, Optional
+from typing import Any
 
 from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
@@ -125,7 +125,7 @@ class DyKnowWidget(QWidget):
         self.monitor.close()
         self.graph.close_down()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         sizes = ",".join(str(size) for size in self.parts.sizes())
         return {
@@ -135,7 +135,7 @@ class DyKnowWidget(QWidget):
             "panel": str(int(self.graph.bar.panel.isChecked())) if self._is_chosen else "",
         }
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing and invalid ones are ignored."""
         state = {name: value for name, value in state.items() if value is not None}
         self.graph.restore(state)
@@ -175,7 +175,7 @@ class DyKnowWidget(QWidget):
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
 
-    def _follow_focus(self, before: Optional[QWidget], now: Optional[QWidget]) -> None:
+    def _follow_focus(self, before: QWidget | None, now: QWidget | None) -> None:
         if before is not None and _line_of(before) is not None:
             before.removeEventFilter(self)
         if now is not None and _line_of(now) is not None and self.isAncestorOf(now):
@@ -245,7 +245,7 @@ class DyKnowWidget(QWidget):
         self.connect_.begin(nodelet, port)
 
 
-def _line_of(widget: object) -> Optional[QLineEdit]:
+def _line_of(widget: object) -> QLineEdit | None:
     """The line that is edited in a field, a spin box or a combo box; None if there is none."""
     if isinstance(widget, (QAbstractSpinBox, QComboBox)):
         widget = widget.findChild(QLineEdit)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import Dict, NamedTuple, Union
+from typing import NamedTuple
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
@@ -29,11 +29,11 @@ class Tone(enum.Enum):
     DROPPED = "dropped"
 
 
-def tones_around(figure: Figure, thing: Union[str, Edge]) -> Dict[object, Tone]:
+def tones_around(figure: Figure, thing: str | Edge) -> dict[object, Tone]:
     """The tones of a vertex, by its key, and its neighbours, or of an arrow and its ends."""
     if isinstance(thing, Edge):
         return {thing: Tone.SELF, thing.tail: Tone.IN, thing.head: Tone.OUT}
-    tones: Dict[object, Tone] = {}
+    tones: dict[object, Tone] = {}
     for edge in figure.edges:
         head, tail = edge.head, edge.tail
         for own, other, side in ((head, tail, Tone.IN), (tail, head, Tone.OUT)):
@@ -150,7 +150,7 @@ class Appearance(NamedTuple):
     is_cpp: bool = False
 
 
-def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
+def sizes_of(figure: Figure, font: QFont) -> dict[str, Size]:
     """Sizes of vertices with room for their names and ports."""
     key, sizes = font.key(), {}
     for vertex in figure.vertices:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any, Callable, Mapping, Match, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Mapping, Match, Sequence
 
 from python_qt_binding.QtCore import QObject, QPointF, QRectF, Qt, QTimer
 from python_qt_binding.QtGui import (
@@ -55,8 +55,8 @@ class EdgeItem(Item):
         self.key = self.edge = edge
         #: The ports at its ends, the in-port first.
         self.refs = edge_refs(edge)
-        self.traffic: Optional[PortRate] = None
-        self.verdict: Optional[PortVerdict] = None
+        self.traffic: PortRate | None = None
+        self.verdict: PortVerdict | None = None
         self.is_dead = False
         #: Whether its label has the topic: it leads past the rectangle of that.
         self.shows_name = not any(key.startswith(_TOPIC) for key in (edge.tail, edge.head))
@@ -93,9 +93,7 @@ class EdgeItem(Item):
         self._tip, self._along = points[-1], direction / length
         self._measure()
 
-    def show(
-        self, traffic: Optional[PortRate], verdict: Optional[PortVerdict], is_dead: bool
-    ) -> bool:
+    def show(self, traffic: PortRate | None, verdict: PortVerdict | None, is_dead: bool) -> bool:
         """Show its traffic and the last verdict; nothing comes along one that is dead.
 
         Returns whether its label needs another size.
@@ -111,7 +109,7 @@ class EdgeItem(Item):
             self.look_again()
         return self.label_shape != shape
 
-    def place_label(self, area: Optional[Rectangle]) -> None:
+    def place_label(self, area: Rectangle | None) -> None:
         """Set the area of its label; None if it has no room."""
         found = QRectF() if area is None else rectangle_of(area)
         if found != self.label_area:
@@ -127,7 +125,7 @@ class EdgeItem(Item):
         return "\n".join([*name, rate, *(["FALSE"] if self.verdict is not None else [])])
 
     @property
-    def label_sizes(self) -> Tuple[Size, ...]:
+    def label_sizes(self) -> tuple[Size, ...]:
         """The sizes that its label may have, the largest first."""
         shape, height = self.label_shape, self._metrics.height()
         width, breaks = self._width_of(shape), shape.count("\n")
@@ -223,7 +221,7 @@ class EdgeItem(Item):
         return min(_THIN + steps / 2, _WIDEST)
 
     @property
-    def _complaint(self) -> Optional[QColor]:
+    def _complaint(self) -> QColor | None:
         """The colour that says that messages are dropped, or else old; None for neither."""
         if self.is_dropping:
             return self.colours.alarm

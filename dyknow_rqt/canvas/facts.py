@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, List, Mapping
+from typing import Mapping
 
 from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN
@@ -31,7 +31,7 @@ class Facts:
 
     def __init__(self) -> None:
         self._snapshot = Snapshot()
-        self._dead: FrozenSet[str] = frozenset()
+        self._dead: frozenset[str] = frozenset()
         self.traffic: Mapping[PortRef, PortRate] = {}
         self.verdicts: Mapping[PortRef, PortVerdict] = {}
         self.strains: Mapping[str, Strain] = {}
@@ -72,7 +72,7 @@ class Facts:
         is_dead = any(key in self._dead or key.startswith(planned) for key in ends)
         return item.show(traffic, verdict, is_dead)
 
-    def nodes_of(self, item: object) -> FrozenSet[str]:
+    def nodes_of(self, item: object) -> frozenset[str]:
         """The nodes of the ports whose connections an item shows."""
         nodelets = [self._snapshot.nodelet(ref.nodelet) for ref in self._refs_of(item)]
         return frozenset(nodelet.node for nodelet in nodelets if nodelet is not None)
@@ -86,7 +86,7 @@ class Facts:
             return _tip(self._tip_of_vertex(item.vertex), connections)
         return "\n\n".join(filter(None, (*map(self._tip_of_port, refs), connections)))
 
-    def _refs_of(self, item: object) -> List[PortRef]:
+    def _refs_of(self, item: object) -> list[PortRef]:
         """The ports whose connections an item shows, sources first."""
         if isinstance(item, EdgeItem):
             return item.refs[::-1]
@@ -130,7 +130,7 @@ class Facts:
         return _tip(*lines)
 
 
-def _dead_keys(snapshot: Snapshot) -> FrozenSet[str]:
+def _dead_keys(snapshot: Snapshot) -> frozenset[str]:
     """Vertices through which nothing can come: lost nodelets, and topics without live sources.
 
     A topic without a known publisher lives as long as one of its receivers.

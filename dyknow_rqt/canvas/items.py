@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, Optional, Tuple, Union
+from typing import Any
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -65,14 +65,14 @@ class Item(QGraphicsRectItem):
         key: the thing that is highlighted while the pointer is over it.
     """
 
-    key: Union[str, Edge] = ""
+    key: str | Edge = ""
 
-    def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
+    def __init__(self, colours: Colours, parent: QGraphicsItem | None = None) -> None:
         super().__init__(parent)
         self.setPen(QPen(Qt.NoPen))  # else the rectangle is larger by its width
         self.colours = colours
         self.tone = Tone.NONE
-        self.mark: Optional[Mark] = None
+        self.mark: Mark | None = None
 
     def change(self, **looks: object) -> None:
         """Set attributes on which its look depends, and have it painted again if they differ."""
@@ -130,7 +130,7 @@ class Item(QGraphicsRectItem):
 class BoxItem(Item):
     """The box of a namespace; its title is painted by the overview."""
 
-    def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
+    def __init__(self, group: tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
         self.name = group[-1]
@@ -163,8 +163,8 @@ class PortItem(Item):
         self.direction = direction
         self._font = font
         self.is_connected = False
-        self.verdict: Optional[PortVerdict] = None
-        self.offered: Optional[bool] = None
+        self.verdict: PortVerdict | None = None
+        self.offered: bool | None = None
         self.setCursor(Qt.CrossCursor)
         self.setAcceptHoverEvents(True)
         self._hovered = False
@@ -174,7 +174,7 @@ class PortItem(Item):
     def truth(self) -> Truth:
         return Truth.UNKNOWN if self.verdict is None else self.verdict.truth
 
-    def set_offered(self, offered: Optional[bool]) -> None:
+    def set_offered(self, offered: bool | None) -> None:
         """Show whether the connection that is drawn could end here; None if none is drawn."""
         self.offered = offered
         self.setOpacity(0.3 if offered is False else 1.0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Dict, List, Optional, Tuple, Union
+from typing import TYPE_CHECKING
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QPainterPath, QPen
@@ -37,10 +37,10 @@ class Marks(QObject):
         super().__init__(scene)
         self._scene = scene
         #: The ends of differences, with what they mark.
-        self._noted: List[Tuple[float, Difference]] = []
+        self._noted: list[tuple[float, Difference]] = []
         self._shown = Difference()
-        self.ghosts: Dict[str, VertexItem] = {}
-        self.links: List[QGraphicsItem] = []
+        self.ghosts: dict[str, VertexItem] = {}
+        self.links: list[QGraphicsItem] = []
         self._ending = QTimer(self, singleShot=True)
         self._ending.timeout.connect(self._follow)
 
@@ -71,7 +71,7 @@ class Marks(QObject):
             self._ending.start(math.ceil((next_end - now) * 1000))
         self.apply()
 
-    def of(self, item: Union[EdgeItem, VertexItem]) -> Optional[Mark]:
+    def of(self, item: EdgeItem | VertexItem) -> Mark | None:
         shown = self._shown
         if isinstance(item, EdgeItem):
             return Mark.MOVED if any(ref in shown.moved for ref in item.refs) else None

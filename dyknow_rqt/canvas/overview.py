@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Dict, Iterable, Iterator, List, Tuple, Union
+from typing import TYPE_CHECKING, Any, Iterable, Iterator, Tuple
 
 from python_qt_binding.QtCore import (
     QPoint,
@@ -96,8 +96,8 @@ class Overview:
                 box.paint(painter, None)
                 yield
             for strokes in (_arrows(edges), _shapes(vertices)):
-                found: Dict[_Look, List[QPainterPath]] = {}
-                room: Dict[_Look, float] = {}
+                found: dict[_Look, list[QPainterPath]] = {}
+                room: dict[_Look, float] = {}
                 for look, path in strokes:
                     across = path.controlPointRect()
                     line = (across.width() + across.height()) * scale
@@ -132,7 +132,7 @@ class Overview:
         painter.restore()
 
 
-def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]) -> None:
+def paint_marked(painter: QPainter, items: Iterable[EdgeItem | VertexItem]) -> None:
     """Paint the things that stand out on top of a picture, in the coordinates of the drawing."""
     painter.setRenderHint(QPainter.Antialiasing)
     painter.setBrush(Qt.NoBrush)
@@ -145,7 +145,7 @@ def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]
 
 def paint_titles(
     painter: QPainter,
-    titles: Iterable[Tuple[QRectF, str]],
+    titles: Iterable[tuple[QRectF, str]],
     font: QFont,
     colours: Colours,
     seen: QRectF,
@@ -165,7 +165,7 @@ def paint_titles(
     is_far = zoom * painter.device().devicePixelRatioF() < FAR
     pixel = (1.0 if is_far else max(_SMALL, zoom)) / zoom
     metrics = QFontMetricsF(font)
-    taken: List[QRectF] = []
+    taken: list[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)
     painter.setFont(font)
@@ -206,7 +206,7 @@ def _stroke(painter: QPainter, look: _Look, path: QPainterPath, scale: float) ->
     painter.drawPath(path)
 
 
-def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
+def _arrows(edges: Iterable[EdgeItem]) -> Iterator[tuple[_Look, QPainterPath]]:
     for edge in edges:
         pen, area = edge.plain_stroke(), edge.rect()
         if max(area.width(), area.height()) > _LONG and pen.color() == edge.colours.line:
@@ -214,7 +214,7 @@ def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
         yield _look(pen), edge.path
 
 
-def _shapes(vertices: Iterable[VertexItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
+def _shapes(vertices: Iterable[VertexItem]) -> Iterator[tuple[_Look, QPainterPath]]:
     for item in vertices:
         pen, share = item.ring
         pen.setWidthF(_RING)
@@ -301,7 +301,7 @@ class Minimap(QWidget):
             yield from self._scene.overview_of(self._overview, area, scale)
             self.update()
 
-    def _frame(self) -> Tuple[QPointF, float]:
+    def _frame(self) -> tuple[QPointF, float]:
         """The corner of the shown area, and its scale."""
         whole = self._scene.drawing_area()
         scale = min(self.width() / whole.width(), self.height() / whole.height())

@@ -8,15 +8,10 @@ from __future__ import annotations
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
-    Set,
     TypeVar,
-    Union,
 )
 
 from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, Signal
@@ -59,27 +54,27 @@ class GraphScene(QGraphicsScene):
     def __init__(self, palette: QPalette, font: QFont, parent: QObject) -> None:
         super().__init__(parent)
         self.figure = Figure()
-        self.vertices: Dict[str, VertexItem] = {}
-        self.edges: Dict[Edge, EdgeItem] = {}
-        self.boxes: Dict[Group, BoxItem] = {}
+        self.vertices: dict[str, VertexItem] = {}
+        self.edges: dict[Edge, EdgeItem] = {}
+        self.boxes: dict[Group, BoxItem] = {}
         self.colours = colours_of(palette)
         self.typeface = font
         self.facts = Facts()
         self._reshow: Callable[[], None] = lambda: None
         self.highlights = True
-        self._highlighted: Union[None, str, Edge] = None
+        self._highlighted: None | str | Edge = None
         self._ghosts: Mapping[object, Tone] = {}
         self.overview = Overview()
         self.is_far = False
         self._seen, self.zoom = QRectF(), 1.0
-        self._marked: Optional[List[Union[EdgeItem, VertexItem]]] = None
+        self._marked: list[EdgeItem | VertexItem] | None = None
         #: Whether a drawing has begun that is not shown yet.
         self.is_drawing = False
         self._drawing = Drawing()
         self.slices = Slices(self)
         self.marks = Marks(self)
         self.labels = ArrowLabels(self)
-        self._area: Optional[QRectF] = None
+        self._area: QRectF | None = None
         self.selectionChanged.connect(self.mark)
         self.setBackgroundBrush(self.colours.paper)
 
@@ -197,7 +192,7 @@ class GraphScene(QGraphicsScene):
 
     # Painting
 
-    def set_zoom(self, zoom: float, seen: Optional[QRectF] = None) -> None:
+    def set_zoom(self, zoom: float, seen: QRectF | None = None) -> None:
         """Let the overview paint things that are too small for names.
 
         Args:
@@ -289,13 +284,13 @@ class GraphScene(QGraphicsScene):
 
     # Highlighting, searching
 
-    def highlight(self, thing: Union[None, str, Edge]) -> None:
+    def highlight(self, thing: None | str | Edge) -> None:
         """Highlight a vertex (red) and its neighbours, or an arrow and its ends, until the next.
 
         Sources are blue, sinks green, things that are both are purple.
         """
         self._highlighted = thing
-        tones: Dict[object, Tone] = {}
+        tones: dict[object, Tone] = {}
         if self.highlights and thing is not None:
             tones = tones_around(self.figure, thing)
         for key, item in (*self.vertices.items(), *self.edges.items()):
@@ -307,7 +302,7 @@ class GraphScene(QGraphicsScene):
         self._ghosts = {key: Tone.KEPT if kept else Tone.DROPPED for key, kept in fates.items()}
         self.highlight(self._highlighted)
 
-    def find(self, text: str) -> List[VertexItem]:
+    def find(self, text: str) -> list[VertexItem]:
         """Mark the vertices whose name contains a text; return them from left to right."""
         wanted, items = text.strip().lower(), self.vertices.values()
         for item in items:
@@ -338,13 +333,13 @@ class GraphScene(QGraphicsScene):
         self._area = None
         self.look_again()
 
-    def offer(self, refs: Optional[Set[PortRef]]) -> None:
+    def offer(self, refs: set[PortRef] | None) -> None:
         """Mark the ports where a connection could end; None to mark none."""
         for item in self.vertices.values():
             for port in item.ports.values():
                 port.set_offered(None if refs is None else port.ref in refs)
 
-    def port_item(self, ref: PortRef) -> Optional[PortItem]:
+    def port_item(self, ref: PortRef) -> PortItem | None:
         vertex = self.vertices.get(f"{VertexKind.NODELET.value}_{ref.nodelet}")
         return vertex.ports.get(ref.port) if vertex is not None else None
 
@@ -378,11 +373,11 @@ class GraphScene(QGraphicsScene):
         yield from self.edges.values()
         yield from self.boxes.values()
 
-    def _remove(self, items: Dict[Key, Any], wanted: Set[Key]) -> None:
+    def _remove(self, items: dict[Key, Any], wanted: set[Key]) -> None:
         for key in [key for key in items if key not in wanted]:
             self.removeItem(items.pop(key))
 
-    def _add(self, items: Dict[Key, Any], key: Key, item: Item) -> None:
+    def _add(self, items: dict[Key, Any], key: Key, item: Item) -> None:
         if key not in items:
             items[key] = item
             item.set_far(self.is_far)

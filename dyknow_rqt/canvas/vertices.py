@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -54,7 +54,7 @@ class VertexItem(Item):
         super().__init__(colours)
         self.vertex, self.key = vertex, vertex.key
         self.appearance = Appearance()
-        self.ports: Dict[str, PortItem] = {}
+        self.ports: dict[str, PortItem] = {}
         self._font = font
         self._metrics = QFontMetricsF(font)
         self._height = height_of(font)
@@ -65,7 +65,7 @@ class VertexItem(Item):
         self.found = False
         self.strain = Strain()
         #: The state of the nodelet that it shows.
-        self.shown: Optional[NodeletStatus] = None
+        self.shown: NodeletStatus | None = None
         self.setAcceptHoverEvents(True)
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setZValue(10)  # names of ports are read above rates
@@ -134,7 +134,7 @@ class VertexItem(Item):
         return QRectF(-width / 2, -height / 2, width, height)
 
     @property
-    def inked(self) -> List[QRectF]:
+    def inked(self) -> list[QRectF]:
         """Areas that nothing else may cover, which hold it and its ports."""
         shares = [(1.0, 0.6), (0.8, 0.8), (0.6, 1.0)]  # around an ellipse
         if self.vertex.kind.is_square:
@@ -198,7 +198,7 @@ class VertexItem(Item):
             painter.drawLine(self.area.bottomLeft(), self.area.topRight())
 
     @property
-    def ring(self) -> Tuple[QPen, float]:
+    def ring(self) -> tuple[QPen, float]:
         """The pen of the ring around it, and the share of the circle; 0 for no ring.
 
         A whole one of dots stands for errors, an arc from the top for the share of a core.

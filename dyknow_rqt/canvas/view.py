@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, Optional, Union
+from typing import Any, Iterable, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QTransform
@@ -87,10 +87,10 @@ class GraphView(QGraphicsView):
         #: Whether hands may change the graph.
         self.is_editable = True
         self._target: Target = None
-        self._ground: Optional[QPoint] = None
+        self._ground: QPoint | None = None
         self._pressed = QPoint()
         #: The vertices that the pointer holds, with their places before they moved.
-        self._starts: Dict[str, QPointF] = {}
+        self._starts: dict[str, QPointF] = {}
         self._is_moving = False
         self._minimap = Minimap(self.scene(), self)
         self._minimap.place_wanted.connect(self._show_place)
@@ -349,7 +349,7 @@ class GraphView(QGraphicsView):
             items = self.scene().vertices.items()
             self.moved.emit({k: Point(item.x(), item.y()) for k, item in items if k in starts})
 
-    def _drag_start(self) -> Optional[PortItem]:
+    def _drag_start(self) -> PortItem | None:
         """The port that a connection is drawn from; the drag ends if it has gone."""
         start = self.wire.start
         if start is not None and self.scene().port_item(start.ref) is not start:
@@ -375,12 +375,12 @@ class GraphView(QGraphicsView):
             return item.vertex.name
         return item.edge if isinstance(item, EdgeItem) else None
 
-    def _port_at(self, place: QPoint) -> Optional[PortItem]:
-        found: Optional[PortItem] = self._hit(place, PortItem)
+    def _port_at(self, place: QPoint) -> PortItem | None:
+        found: PortItem | None = self._hit(place, PortItem)
         return found
 
-    def _item_at(self, place: QPoint) -> Union[None, EdgeItem, VertexItem]:
-        found: Union[None, EdgeItem, VertexItem] = self._hit(place, VertexItem, EdgeItem)
+    def _item_at(self, place: QPoint) -> None | EdgeItem | VertexItem:
+        found: None | EdgeItem | VertexItem = self._hit(place, VertexItem, EdgeItem)
         return found
 
     def _hit(self, place: QPoint, *kinds: type) -> Any:
@@ -389,6 +389,6 @@ class GraphView(QGraphicsView):
         items = (item for item in self.items(area) if item.isEnabled())
         return next((item for item in items if isinstance(item, kinds)), None)
 
-    def place_of(self, ref: PortRef) -> Optional[QPoint]:
+    def place_of(self, ref: PortRef) -> QPoint | None:
         port = self.scene().port_item(ref)
         return self.mapFromScene(port.scenePos()) if port is not None else None

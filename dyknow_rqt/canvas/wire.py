@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Optional
+from typing import TYPE_CHECKING
 
 from python_qt_binding.QtCore import QPoint, QPointF, Qt
 from python_qt_binding.QtGui import QPainterPath, QPalette, QPen
@@ -31,7 +31,7 @@ class Wire(QLabel):
     def __init__(self, view: GraphView) -> None:
         super().__init__(view.viewport())
         self._view = view
-        self.start: Optional[PortItem] = None
+        self.start: PortItem | None = None
         self._line = QGraphicsPathItem()
         self.setAttribute(Qt.WA_TransparentForMouseEvents)
         self.setForegroundRole(QPalette.ToolTipText)

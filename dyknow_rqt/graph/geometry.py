@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import dataclass, field
-from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow_rqt.graph.figure import Edge, Figure
 
@@ -63,7 +63,7 @@ class Rectangle(NamedTuple):
         )
 
     @property
-    def sides(self) -> Tuple[Rectangle, ...]:
+    def sides(self) -> tuple[Rectangle, ...]:
         left, top, right, bottom = self
         return (
             Rectangle(left - 1, top, left + 1, bottom),
@@ -99,8 +99,8 @@ class Layout:
     """
 
     centres: Mapping[str, Point] = field(default_factory=dict)
-    curves: Mapping[Edge, Tuple[Point, ...]] = field(default_factory=dict)
-    boxes: Mapping[Tuple[str, ...], Rectangle] = field(default_factory=dict)
+    curves: Mapping[Edge, tuple[Point, ...]] = field(default_factory=dict)
+    boxes: Mapping[tuple[str, ...], Rectangle] = field(default_factory=dict)
 
     def turned(self) -> Layout:
         """Swap x and y: from left to right becomes from top to bottom; it has no boxes then."""
@@ -144,7 +144,7 @@ class Drawing:
     is_anew: bool = False
 
 
-def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) -> Tuple[Point, ...]:
+def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) -> tuple[Point, ...]:
     """Lead an arrow from the right end of one vertex to the left end of another."""
     start = Point(tail.x + tail_size.width / 2, tail.y)
     end = Point(head.x - head_size.width / 2, head.y)
@@ -153,19 +153,19 @@ def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) ->
 
 
 def boxes_around(
-    groups: Mapping[str, Tuple[str, ...]],
+    groups: Mapping[str, tuple[str, ...]],
     centres: Mapping[str, Point],
     sizes: Mapping[str, Size],
     is_turned: bool = False,
-) -> Dict[Tuple[str, ...], Rectangle]:
+) -> dict[tuple[str, ...], Rectangle]:
     """Draw boxes around the vertices of namespaces; above the contents is a line for the title.
 
     ``is_turned`` says that x and y are swapped.
     """
     margin, title = 8.0, 20.0
-    found: Dict[Tuple[str, ...], Rectangle] = {}
+    found: dict[tuple[str, ...], Rectangle] = {}
 
-    def include(group: Tuple[str, ...], part: Rectangle) -> None:
+    def include(group: tuple[str, ...], part: Rectangle) -> None:
         found[group] = found[group].joined(part) if group in found else part
 
     for key in sorted(groups):
@@ -201,7 +201,7 @@ def place_labels(
     curves: Mapping[Edge, Sequence[Point]],
     sizes: Mapping[Edge, Sequence[Size]],
     obstacles: Iterable[Rectangle],
-) -> Dict[Edge, Rectangle]:
+) -> dict[Edge, Rectangle]:
     """Place labels beside their curves, as near to the middle as there is room.
 
     Args:
@@ -230,7 +230,7 @@ def place_labels(
     return places
 
 
-def _candidates(path: List[Point], size: Size) -> Iterator[Rectangle]:
+def _candidates(path: list[Point], size: Size) -> Iterator[Rectangle]:
     """Areas beside the curve, above it and near its middle first."""
     middle = len(path) // 2
     places = (
@@ -265,7 +265,7 @@ class _Ground:
     """Areas that are taken, by the squares that they touch."""
 
     def __init__(self) -> None:
-        self._taken: Dict[Tuple[int, int], List[Rectangle]] = {}
+        self._taken: dict[tuple[int, int], list[Rectangle]] = {}
 
     def take(self, area: Rectangle) -> None:
         for cell in self._cells(area):
@@ -276,7 +276,7 @@ class _Ground:
             area.meets(other) for cell in self._cells(area) for other in self._taken.get(cell, ())
         )
 
-    def _cells(self, area: Rectangle) -> List[Tuple[int, int]]:
+    def _cells(self, area: Rectangle) -> list[tuple[int, int]]:
         left, top, right, bottom = (int(side // _CELL) for side in area)
         return [
             (column, row) for column in range(left, right + 1) for row in range(top, bottom + 1)
@@ -297,9 +297,9 @@ class Places:
     """
 
     def __init__(self) -> None:
-        self.present: Dict[str, Point] = {}
+        self.present: dict[str, Point] = {}
         self._wiring = ""
-        self._kept: Dict[str, Dict[str, Point]] = {}
+        self._kept: dict[str, dict[str, Point]] = {}
 
     def follow(self, nodelets: Iterable[str]) -> None:
         """Turn to the wiring of these nodelets."""

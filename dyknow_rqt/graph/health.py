@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from typing import Callable, Iterable, List, Mapping, NamedTuple, Optional
+from typing import Callable, Iterable, Mapping, NamedTuple
 
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamStatus
@@ -43,7 +43,7 @@ class Ill(NamedTuple):
 
 def ills_of(
     snapshot: Snapshot, streams: Iterable[StreamStatus], traffic: Mapping[PortRef, PortRate]
-) -> List[Ill]:
+) -> list[Ill]:
     """List the nodelets and claims in a bad state, the worst first, each once."""
     slow = {ref.nodelet for ref, each in traffic.items() if each.drop_rate > 0}
     words = {name: "slow" for name in slow}
@@ -111,7 +111,7 @@ class Contact:
         self,
         manager: str,
         master: str,
-        clock: Optional[Callable[[], float]] = None,
+        clock: Callable[[], float] | None = None,
         now: Callable[[], float] = time.time,
     ) -> None:
         """``clock`` counts the seconds for which the window has run, ``now`` those on the wall."""

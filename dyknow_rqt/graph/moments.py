@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Deque, Dict, FrozenSet, Iterator, Mapping, Sequence, Tuple
+from typing import Iterator, Mapping, Sequence
 
 from dyknow.model.graph import NodeletStatus, PortRef
 from dyknow.model.streams import StreamStatus
@@ -23,7 +23,7 @@ class GraphMoment:
 
     time: float
     snapshot: Snapshot
-    streams: Tuple[StreamStatus, ...] = ()
+    streams: tuple[StreamStatus, ...] = ()
 
     @property
     def essence(self) -> object:
@@ -44,18 +44,18 @@ class Difference:
         lines: all of it in words, and the states that changed.
     """
 
-    came: FrozenSet[str] = frozenset()
-    went: FrozenSet[str] = frozenset()
-    moved: FrozenSet[PortRef] = frozenset()
-    mended: Tuple[Tuple[str, str], ...] = ()
-    lines: Tuple[str, ...] = ()
+    came: frozenset[str] = frozenset()
+    went: frozenset[str] = frozenset()
+    moved: frozenset[PortRef] = frozenset()
+    mended: tuple[tuple[str, str], ...] = ()
+    lines: tuple[str, ...] = ()
 
 
 class Moments:
     """The last moments, oldest first."""
 
     def __init__(self) -> None:
-        self.all: Deque[GraphMoment] = deque(maxlen=_MOST)
+        self.all: deque[GraphMoment] = deque(maxlen=_MOST)
 
     def note(self, moment: GraphMoment) -> bool:
         """Note a moment; returns whether it differs from the last one."""
@@ -87,7 +87,7 @@ def difference(before: GraphMoment, after: GraphMoment) -> Difference:
     return Difference(came, went, frozenset(moves), mended, tuple(lines))
 
 
-def _moves(before: NodeletStatus, after: NodeletStatus) -> Iterator[Tuple[PortRef, str]]:
+def _moves(before: NodeletStatus, after: NodeletStatus) -> Iterator[tuple[PortRef, str]]:
     topics = {port.name: port.topic for port in before.ports}
     for port in after.ports:
         was = topics.get(port.name, "")
@@ -102,9 +102,9 @@ def _state(nodelet: NodeletStatus) -> str:
 
 def _mended(
     before: GraphMoment, after: GraphMoment, nodelets: Mapping[str, NodeletStatus]
-) -> Iterator[Tuple[str, str]]:
+) -> Iterator[tuple[str, str]]:
     """Pair the parts that claims have lost with those that they have instead, alike first."""
-    claims: Dict[str, StreamStatus] = {each.claim_id: each for each in before.streams}
+    claims: dict[str, StreamStatus] = {each.claim_id: each for each in before.streams}
     found = set()
     for claim in after.streams:
         was = claims.get(claim.claim_id)

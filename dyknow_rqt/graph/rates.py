@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Iterable, Mapping, Sequence
 
 from dyknow.model.graph import PortRef
 from dyknow.model.statistics import NodeletCount, NodeletLoad, PortCount
@@ -45,8 +45,8 @@ class PortRate:
     drop_rate: float
     messages: int
     dropped: int
-    bandwidth: Optional[float] = None
-    age: Optional[float] = None
+    bandwidth: float | None = None
+    age: float | None = None
 
     @property
     def is_old(self) -> bool:
@@ -98,12 +98,12 @@ class _Track:
         is_overdue: no message came when the next was due.
     """
 
-    moves: List[Tuple[float, int]] = field(default_factory=list)
-    drops: List[Tuple[float, int]] = field(default_factory=list)
+    moves: list[tuple[float, int]] = field(default_factory=list)
+    drops: list[tuple[float, int]] = field(default_factory=list)
     begin: float = -1.0
     is_overdue: bool = False
 
-    def take(self, time: float, count: PortCount) -> Optional[PortRate]:
+    def take(self, time: float, count: PortCount) -> PortRate | None:
         """Take a count; returns the traffic, None while it is not known."""
         messages, dropped = count.messages, count.dropped
         self.drops = self.drops or [(time, dropped)]
@@ -117,7 +117,7 @@ class _Track:
         bandwidth = rate * count.size if count.size else None
         return PortRate(rate, drop_rate, messages, dropped, bandwidth, count.age if rate else None)
 
-    def _rate(self, time: float, messages: int) -> Optional[float]:
+    def _rate(self, time: float, messages: int) -> float | None:
         moves = self.moves
         if self.begin < 0.0:
             self.begin = time
@@ -148,13 +148,13 @@ class Meter:
     """
 
     def __init__(self) -> None:
-        self._last: Dict[str, Tuple[float, Deque[NodeletCount]]] = {}
+        self._last: dict[str, tuple[float, deque[NodeletCount]]] = {}
         self._topics: Mapping[PortRef, str] = {}
-        self._tracks: Dict[PortRef, _Track] = {}
+        self._tracks: dict[PortRef, _Track] = {}
         #: The traffic of all ports where it is known.
-        self.traffic: Dict[PortRef, PortRate] = {}
+        self.traffic: dict[PortRef, PortRate] = {}
         #: That of nodelets, by name, where it is known.
-        self.strains: Dict[str, Strain] = {}
+        self.strains: dict[str, Strain] = {}
 
     def take(self, counts: Iterable[NodeletCount], now: float) -> None:
         """Take the counts that came ``now``, in seconds of a steady clock."""
@@ -198,7 +198,7 @@ class Meter:
         share = load.busy if load.cpu is None else load.cpu
         self.strains[last.nodelet] = Strain(min(share, 1.0), last.recent_error)
 
-    def _forget(self, nodelets: Set[str]) -> None:
+    def _forget(self, nodelets: set[str]) -> None:
         if nodelets:
             self._drop(ref for ref in self._topics if ref.nodelet in nodelets)
 

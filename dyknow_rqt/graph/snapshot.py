@@ -11,12 +11,8 @@ from functools import cached_property
 from typing import (
     TYPE_CHECKING,
     AbstractSet,
-    Dict,
-    FrozenSet,
     Iterable,
-    List,
     Mapping,
-    Optional,
     Sequence,
     Tuple,
 )
@@ -40,8 +36,8 @@ class PlainNode:
     """An ordinary ROS node that uses topics of nodelets."""
 
     name: str
-    publishes: Tuple[str, ...]
-    subscribes: Tuple[str, ...]
+    publishes: tuple[str, ...]
+    subscribes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -55,19 +51,19 @@ class Snapshot:
         pending: tags of claims that wait, each with the reason.
     """
 
-    nodelets: Tuple[NodeletStatus, ...] = ()
-    nodes: Tuple[PlainNode, ...] = ()
-    taken: FrozenSet[str] = frozenset()
-    pending: Tuple[Tuple[str, str], ...] = ()
+    nodelets: tuple[NodeletStatus, ...] = ()
+    nodes: tuple[PlainNode, ...] = ()
+    taken: frozenset[str] = frozenset()
+    pending: tuple[tuple[str, str], ...] = ()
 
-    def nodelet(self, name: str) -> Optional[NodeletStatus]:
+    def nodelet(self, name: str) -> NodeletStatus | None:
         return self._by_name.get(name)
 
-    def port(self, ref: PortRef) -> Optional[PortState]:
+    def port(self, ref: PortRef) -> PortState | None:
         nodelet = self.nodelet(ref.nodelet)
         return nodelet.port(ref.port) if nodelet is not None else None
 
-    def shared(self, nodelets: Iterable[NodeletStatus]) -> Tuple[NodeletStatus, ...]:
+    def shared(self, nodelets: Iterable[NodeletStatus]) -> tuple[NodeletStatus, ...]:
         """Take the own values of nodelets that have not changed: these are compared at once."""
         pairs = ((each, self.nodelet(each.name)) for each in nodelets)
         return tuple(
@@ -79,20 +75,20 @@ class Snapshot:
         return self._topics
 
     @cached_property
-    def _by_name(self) -> Dict[str, NodeletStatus]:
+    def _by_name(self) -> dict[str, NodeletStatus]:
         return {each.name: each for each in self.nodelets}
 
     @cached_property
-    def _topics(self) -> Dict[str, Topic]:
+    def _topics(self) -> dict[str, Topic]:
         return {topic.name: topic for topic in topics_of(self.nodelets)}
 
 
 def plain_nodes(
     publishers: Side, subscribers: Side, topics: AbstractSet[str], hosts: AbstractSet[str]
-) -> Tuple[PlainNode, ...]:
+) -> tuple[PlainNode, ...]:
     """Find the ordinary nodes, all but the nodelet managers ``hosts``, that use these topics."""
-    published: Dict[str, List[str]] = {}
-    subscribed: Dict[str, List[str]] = {}
+    published: dict[str, list[str]] = {}
+    subscribed: dict[str, list[str]] = {}
     for side, used in ((publishers, published), (subscribers, subscribed)):
         for topic, nodes in side:
             for node in nodes:
@@ -108,7 +104,7 @@ def plain_nodes(
 
 def taken_topics(
     publishers: Side, nodelets: Sequence[NodeletStatus], hosts: AbstractSet[str]
-) -> FrozenSet[str]:
+) -> frozenset[str]:
     """Find topics after out-ports that are not connected, where ordinary nodes publish.
 
     Args:
@@ -142,7 +138,7 @@ def connections_of(snapshot: Snapshot, refs: Sequence[PortRef], transports: Tran
     return ", ".join(f"{n} {what}" for what, n in sorted(found.items()) if n)
 
 
-def _way_of(snapshot: Snapshot, ref: PortRef) -> Tuple[str, str, str]:
+def _way_of(snapshot: Snapshot, ref: PortRef) -> tuple[str, str, str]:
     """The node, direction and topic of a port; empty if it is gone."""
     nodelet, port = snapshot.nodelet(ref.nodelet), snapshot.port(ref)
     return (nodelet.node, port.direction, port.topic) if nodelet and port else ("", "", "")
@@ -162,7 +158,7 @@ def not_destroyed(names: Sequence[str], snapshot: Snapshot) -> str:
     return not_ours(names, snapshot) or ("Release them from protection first" if is_held else "")
 
 
-def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
+def protection(names: Sequence[str], snapshot: Snapshot) -> tuple[list[str], bool]:
     """Decide how a switch of the protection of nodelets works.
 
     Returns:

@@ -12,7 +12,7 @@ without need, or if much has changed, the new layout is used as it is.
 from __future__ import annotations
 
 from statistics import median
-from typing import Dict, List, Mapping, Sequence, Set
+from typing import Mapping, Sequence
 
 from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size, around, boxes_around
@@ -69,7 +69,7 @@ def stabilise(
     return fresh.put_at(centres)
 
 
-def moved(old: Layout, new: Layout) -> List[str]:
+def moved(old: Layout, new: Layout) -> list[str]:
     """The vertices that have another place in the new layout."""
     return [
         key
@@ -87,7 +87,7 @@ def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, 
     )
 
 
-def _nodelets(figure: Figure) -> Set[str]:
+def _nodelets(figure: Figure) -> set[str]:
     return {vertex.key for vertex in figure.vertices if vertex.kind is VertexKind.NODELET}
 
 
@@ -97,7 +97,7 @@ def _place(
     after: Figure,
     sizes: Mapping[str, Size],
     others: Sequence[Rectangle],
-) -> Dict[str, Point]:
+) -> dict[str, Point]:
     """Find free places for the vertices that are not kept, from left to right."""
     centres = dict(kept)
     neighbours = after.neighbours()

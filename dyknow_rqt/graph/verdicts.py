@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, FrozenSet, Iterable, Iterator, List, Mapping, Optional, Tuple
+from typing import Iterable, Iterator, Mapping
 
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import NodeletStatus, PortRef, PortState, State
@@ -24,7 +24,7 @@ class PortVerdict:
     """
 
     formula: str
-    verdict: Optional[Verdict]
+    verdict: Verdict | None
 
     @property
     def truth(self) -> Truth:
@@ -38,7 +38,7 @@ class PortVerdict:
         return f"{self.formula}: {since}\n{self.verdict.why}".rstrip()
 
 
-def verdict_sources(nodelets: Iterable[NodeletStatus]) -> FrozenSet[Tuple[str, str]]:
+def verdict_sources(nodelets: Iterable[NodeletStatus]) -> frozenset[tuple[str, str]]:
     """Find the nodes that publish verdicts now, each with the topic."""
     ports = _ports_of_verdicts(nodelets)
     return frozenset(
@@ -48,9 +48,9 @@ def verdict_sources(nodelets: Iterable[NodeletStatus]) -> FrozenSet[Tuple[str, s
 
 def port_verdicts(
     nodelets: Iterable[NodeletStatus],
-    verdicts: Mapping[str, Optional[Verdict]],
+    verdicts: Mapping[str, Verdict | None],
     streams: Iterable[StreamStatus],
-) -> Dict[PortRef, PortVerdict]:
+) -> dict[PortRef, PortVerdict]:
     """Find the last verdict of each out-port.
 
     Args:
@@ -58,7 +58,7 @@ def port_verdicts(
         verdicts: the last ones, by topic.
         streams: claims; they have the bindings of the variables in tags of ports.
     """
-    tags: Dict[str, List[str]] = {}
+    tags: dict[str, list[str]] = {}
     for stream in streams:
         if not stream.state.ended:
             tags.setdefault(stream.topic, []).append(stream.bound_tag)
@@ -73,7 +73,7 @@ def port_verdicts(
 
 def _ports_of_verdicts(
     nodelets: Iterable[NodeletStatus],
-) -> Iterator[Tuple[NodeletStatus, PortState]]:
+) -> Iterator[tuple[NodeletStatus, PortState]]:
     for nodelet in nodelets:
         for port in nodelet.ports:
             if port.direction != IN and port.datatype == VERDICT and port.topic:

@@ -13,17 +13,12 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import (
     Callable,
-    Dict,
-    FrozenSet,
     Iterable,
     Iterator,
-    List,
     Mapping,
     NamedTuple,
     Sequence,
-    Set,
     Tuple,
-    Union,
 )
 
 from dyknow.errors import Refused
@@ -74,7 +69,7 @@ class WayPart(NamedTuple):
         return self.how in _NEW
 
     @property
-    def cells(self) -> Tuple[str, str, str, str]:
+    def cells(self) -> tuple[str, str, str, str]:
         what = f"{self.port} ← {self.what}" if self.port else self.what
         return what, self.cost, self.how, self.bindings
 
@@ -96,7 +91,7 @@ def read_way(text: str) -> Way:
     return (whole, *map(_part_of, entries))
 
 
-def next_ways(plan: Callable[[str], Union[Acquisition, Replanned]], way: Way) -> List[Way]:
+def next_ways(plan: Callable[[str], Acquisition | Replanned], way: Way) -> list[Way]:
     """Plan without each transformation of a way: the ways that differ, the cheapest first.
 
     Args:
@@ -104,7 +99,7 @@ def next_ways(plan: Callable[[str], Union[Acquisition, Replanned]], way: Way) ->
         way: the best way.
     """
     labels = dict.fromkeys(part.label for part in way[1:] if part.label)
-    found: Dict[str, Tuple[float, str]] = {}
+    found: dict[str, tuple[float, str]] = {}
     for label in list(labels)[:_TRIED]:
         with suppress(Refused):
             answer = plan(label)
@@ -141,9 +136,9 @@ def _parts(
     topic: str,
     port: str,
     depth: int,
-    members: FrozenSet[str],
+    members: frozenset[str],
     snapshot: Snapshot,
-    seen: FrozenSet[str],
+    seen: frozenset[str],
 ) -> Iterator[WayPart]:
     found = snapshot.topics().get(topic)
     for ref in found.sources if found is not None else ():
@@ -165,9 +160,9 @@ def _parts(
 def _inputs(
     nodelet: NodeletStatus,
     depth: int,
-    members: FrozenSet[str],
+    members: frozenset[str],
     snapshot: Snapshot,
-    seen: FrozenSet[str] = frozenset(),
+    seen: frozenset[str] = frozenset(),
 ) -> Iterator[WayPart]:
     for each in nodelet.ports:
         if each.direction == IN and each.topic and each.topic not in seen:
@@ -202,9 +197,9 @@ def fates_of(parts: Iterable[WayPart]) -> Mapping[str, bool]:
 def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) -> Figure:
     """Add the nodelets that a plan would bring, with arrows from their sources."""
     drawn = {vertex.key for vertex in figure.vertices}
-    ghosts: Dict[str, Vertex] = {}
-    edges: Set[Edge] = set()
-    above: List[str] = []
+    ghosts: dict[str, Vertex] = {}
+    edges: set[Edge] = set()
+    above: list[str] = []
     for part in parts:
         key = _key_of_part(part, snapshot, drawn)
         if part.is_new:
@@ -218,7 +213,7 @@ def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) ->
     return replace(figure, vertices=tuple(vertices), edges=tuple(sorted({*figure.edges, *edges})))
 
 
-def _key_of_part(part: WayPart, snapshot: Snapshot, drawn: Set[str]) -> str:
+def _key_of_part(part: WayPart, snapshot: Snapshot, drawn: set[str]) -> str:
     """The vertex of a part: of one that runs its topic, if it is drawn."""
     topic = part.what
     if part.nodelet:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import QComboBox, QCompleter, QGroupBox, QLabel, QPushButton
@@ -43,7 +43,7 @@ class _PortChoice:
             box.setSizeAdjustPolicy(QComboBox.AdjustToMinimumContentsLengthWithIcon)
 
     @property
-    def ref(self) -> Optional[PortRef]:
+    def ref(self) -> PortRef | None:
         port = self.port.currentData()
         return PortRef(self.nodelet.currentText(), port) if port is not None else None
 
@@ -186,7 +186,7 @@ class ConnectPanel(Panel):
         self.connect.setEnabled(possible)
 
 
-def _box(title: str, *rows: Tuple[str, object]) -> QGroupBox:
+def _box(title: str, *rows: tuple[str, object]) -> QGroupBox:
     box = QGroupBox(title)
     form = form_in(box)
     form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
@@ -201,7 +201,7 @@ def _words(port: PortState) -> str:
 
 
 def _refill(
-    box: QComboBox, wanted: Sequence[Tuple[str, str]], is_away: Callable[[str], bool]
+    box: QComboBox, wanted: Sequence[tuple[str, str]], is_away: Callable[[str], bool]
 ) -> None:
     """Replace the entries of a box; the chosen one stays chosen if it is among them.
 

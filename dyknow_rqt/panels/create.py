@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Mapping
 
 from python_qt_binding.QtCore import QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
@@ -47,13 +47,13 @@ class GivenFields(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.fields: Dict[str, QLineEdit] = {}
-        self.more: Optional[QLineEdit] = None
+        self.fields: dict[str, QLineEdit] = {}
+        self.more: QLineEdit | None = None
         self._form = form_in(self)
         self._form.setContentsMargins(0, 0, 0, 0)
-        self._shown: Optional[Transformation] = None
+        self._shown: Transformation | None = None
 
-    def show_transformation(self, transformation: Optional[Transformation]) -> None:
+    def show_transformation(self, transformation: Transformation | None) -> None:
         """Offer the fields of a transformation; they are kept while it stays the same."""
         if transformation == self._shown:
             return
@@ -77,7 +77,7 @@ class GivenFields(QWidget):
         tip = "Parameters that the transformation does not name; quoted as in a shell"
         self.more = self._add("More", "rate=5 frame=map", tip)
 
-    def given(self) -> Tuple[Parameter, ...]:
+    def given(self) -> tuple[Parameter, ...]:
         """The given parameters, with the types left to the manager, or InvalidParameters."""
         texts = [(name, field.text().strip()) for name, field in self.fields.items()]
         found = [Parameter(name, "", text) for name, text in texts if text]
@@ -96,7 +96,7 @@ class GivenFields(QWidget):
         return field
 
 
-def _words(text: str, label: str) -> List[str]:
+def _words(text: str, label: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
@@ -214,7 +214,7 @@ class ParametersDialog(QDialog):
         self,
         monitor: GraphMonitor,
         nodelet: NodeletStatus,
-        transformation: Optional[Transformation],
+        transformation: Transformation | None,
         parent: QWidget,
     ) -> None:
         super().__init__(parent)
@@ -223,13 +223,13 @@ class ParametersDialog(QDialog):
         self._monitor, self._name = monitor, nodelet.name
         given = {each.name: each for each in nodelet.parameters}
         bound = {name: each.text for name, each in given.items()}
-        self._before: Dict[str, Parameter] = {}
+        self._before: dict[str, Parameter] = {}
         for each in transformation.parameters if transformation is not None else ():
             with contextlib.suppress(KeyError, ValueError):  # it has been replaced since
                 each = each._replace(text=fill(each.text, bound))
             self._before[each.name] = each
         self._before.update(given)
-        self.fields: Dict[str, QLineEdit] = {}
+        self.fields: dict[str, QLineEdit] = {}
         self.more = field_of("rate=5", "A parameter that is not named here: NAME=VALUE")
         form = form_in()
         for name, parameter in self._before.items():

@@ -9,7 +9,7 @@ import getpass
 import socket
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Callable, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtWidgets import (
@@ -67,7 +67,7 @@ class StreamsPanel(Panel):
         )
         of_plan = (self.exclude, self.prefer, self.avoid)
         self.fields = (self.tag, self.datatype, *of_plan, self.require)
-        self._tags: List[str] = []
+        self._tags: list[str] = []
         self._offered, self._types = QStringListModel(self), QStringListModel(self)
         for field, model in ((self.tag, self._offered), (self.datatype, self._types)):
             completer = QCompleter(model, self)
@@ -85,7 +85,7 @@ class StreamsPanel(Panel):
         #: The number of the last question; answers to those before it are not shown.
         self._question = 0
         #: A tag that is being acquired, and the claims before.
-        self._awaited: Tuple[str, FrozenSet[str]] = ("", frozenset())
+        self._awaited: tuple[str, frozenset[str]] = ("", frozenset())
         self._say("How the stream would be made is shown here")
         self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
@@ -163,7 +163,7 @@ class StreamsPanel(Panel):
 
     def _add_next_ways(
         self,
-        plan: Callable[[BaseManagerClient, str], Union[Acquisition, Replanned]],
+        plan: Callable[[BaseManagerClient, str], Acquisition | Replanned],
         *shown: Way,
     ) -> None:
         """Add the next best ways to the shown ones, if these are still shown."""
@@ -294,7 +294,7 @@ class StreamsPanel(Panel):
 
     # Inside
 
-    def _chosen(self) -> List[StreamStatus]:
+    def _chosen(self) -> list[StreamStatus]:
         """The selected streams that have not ended."""
         found = map(self._monitor.stream, sorted(self._selection.claims))
         return [stream for stream in found if stream is not None and not stream.state.ended]
@@ -347,7 +347,7 @@ def _cut(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
-def _names(field: QLineEdit) -> Tuple[str, ...]:
+def _names(field: QLineEdit) -> tuple[str, ...]:
     names = (part.strip() for part in field.text().split(";"))
     return tuple(name for name in names if name)
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from python_qt_binding.QtCore import (
     QAbstractTableModel,
@@ -61,9 +61,9 @@ class _Rows(QAbstractTableModel):
     def __init__(self, titles: Sequence[str], parent: QWidget) -> None:
         super().__init__(parent)
         self._titles = titles
-        self.all: List[Row] = []
-        self.shown: List[Row] = []
-        self.places: Dict[str, int] = {}
+        self.all: list[Row] = []
+        self.shown: list[Row] = []
+        self.places: dict[str, int] = {}
         self._column, self._backwards, self._filter = 0, False, ""
 
     def replace(self, rows: Sequence[Row]) -> None:
@@ -116,8 +116,8 @@ class _Rows(QAbstractTableModel):
         self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
         self.endResetModel()
 
-    def _arranged(self) -> List[Row]:
-        def key(row: Row) -> Tuple[bool, Union[int, str], str]:
+    def _arranged(self) -> list[Row]:
+        def key(row: Row) -> tuple[bool, int | str, str]:
             cell = row[0][self._column]
             return (False, int(cell), row[0][0]) if cell.isdecimal() else (True, cell, row[0][0])
 
@@ -193,14 +193,14 @@ class KeyedTable(QTableView):
             self.choose(chosen, current)
         self.verticalScrollBar().setValue(top)
 
-    def chosen(self) -> List[str]:
+    def chosen(self) -> list[str]:
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())
         return [self._name(row) for row in rows]
 
-    def names(self) -> List[str]:
+    def names(self) -> list[str]:
         return [row[0][0] for row in self._rows.shown]
 
-    def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
+    def choose(self, names: Iterable[str], current: str | None = None) -> None:
         """Select the rows of these keys only, and make one the current row."""
         selection = self.selectionModel()
         places = [self._rows.places[name] for name in names if name in self._rows.places]
@@ -247,7 +247,7 @@ class WayTree(QTreeWidget):
 
     def __init__(self, name: str) -> None:
         super().__init__()
-        self.ways: Tuple[Way, ...] = ()
+        self.ways: tuple[Way, ...] = ()
         self.setHeaderLabels(("Part", "Cost", "How", "Bindings"))
         self.header().setSectionResizeMode(QHeaderView.ResizeToContents)
         self.setUniformRowHeights(True)
@@ -268,7 +268,7 @@ class WayTree(QTreeWidget):
         self.ways = ways
         self.clear()
         for way in filter(None, ways):
-            path: List[Any] = [self]
+            path: list[Any] = [self]
             for part in way:
                 del path[part.depth + 1 :]
                 item = QTreeWidgetItem(path[-1], part.cells)
