@@ -118,8 +118,7 @@ SLICE = 0.02
 class Slices(QObject):
     """Does jobs one after the other, each once however often it was wanted meanwhile.
 
-    Attributes:
-        is_working: whether a slice is being done; between two of them a user may be at work.
+    It is working while a slice is being done; between two of them a user may be at work.
     """
 
     def __init__(self, parent: QObject) -> None:

@@ -71,11 +71,8 @@ _LINES = {
 class GraphBar(QWidget):
     """Edits the options; its state is a dictionary of texts.
 
-    Buttons that have no room are in a menu at the end of the bar.
-
-    Attributes:
-        settings: by name, actions of which each holds or not, and groups of which one holds.
-        collapsed: boxes that are drawn as one vertex.
+    Buttons that have no room are in a menu at the end of the bar. Settings are actions of which
+    each holds or not, and groups of which one holds; collapsed boxes are drawn as one vertex.
     """
 
     #: The options have changed.

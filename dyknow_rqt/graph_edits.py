@@ -41,12 +41,9 @@ _NAMED, _OFFERED = 3, 15
 
 
 class GraphEdits(QObject):
-    """Connections drawn by hand, moved vertices, and the actions of menus and keys.
+    """Connections drawn by hand, places of moved vertices, and the actions of menus and keys.
 
     The other parts of the window connect to the signals.
-
-    Attributes:
-        places: where the user has put vertices.
     """
 
     #: Vertices have other places.

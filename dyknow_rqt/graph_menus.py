@@ -137,12 +137,9 @@ _TERMINAL = ("x-terminal-emulator", "-e", "rostopic", "echo")
 
 
 class Viewer(NamedTuple):
-    """A program.
+    """A program that shows images, or everything else, or both (None).
 
-    Attributes:
-        title: for people.
-        words: the command, in which ``{topic}``, ``{field}`` and ``{name}`` are replaced.
-        is_for_images: whether it shows images, or everything else; None for both.
+    In the words of its command ``{topic}``, ``{field}`` and ``{name}`` are replaced.
     """
 
     title: str

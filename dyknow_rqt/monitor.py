@@ -14,7 +14,6 @@ import time
 from collections import deque
 from dataclasses import replace
 from typing import (
-    TYPE_CHECKING,
     Any,
     Callable,
     FrozenSet,
@@ -26,10 +25,12 @@ from typing import (
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, Refused
+from dyknow.formulas import Verdict
 from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import PortRef, State
-from dyknow.model.streams import ClaimState
+from dyknow.model.graph import Model, PortRef, State
+from dyknow.model.statistics import NodeletCount
+from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
@@ -38,12 +39,6 @@ from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, ta
 from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.remote import Remote
-
-if TYPE_CHECKING:
-    from dyknow.formulas import Verdict
-    from dyknow.model.graph import Model
-    from dyknow.model.statistics import NodeletCount
-    from dyknow.model.streams import StreamStatus
 
 T = TypeVar("T")
 
@@ -58,7 +53,7 @@ _SELDOM = 20
 
 #: Findings of a look: the link to the manager when it began, the model, ordinary nodes, the topics
 #: that are taken.
-_Look = Tuple[int, "Model", Tuple[PlainNode, ...], FrozenSet[str]]
+_Look = Tuple[int, Model, Tuple[PlainNode, ...], FrozenSet[str]]
 
 
 class GraphMonitor(QObject):
@@ -179,12 +174,9 @@ class GraphMonitor(QObject):
         then: Callable[[T], None],
         failed: Callable[[str], None] | None = None,
     ) -> None:
-        """Call the remote side in the background.
+        """Ask the remote side in the background, and take the answer in the thread of the window.
 
-        Args:
-            question: may block.
-            then: called in the thread of the window with the answer.
-            failed: called there with the error in words; by default it is reported.
+        There ``failed`` takes the error in words; by default it is reported.
         """
         say = failed or self.failed.emit
         if self.is_linked:
@@ -195,9 +187,7 @@ class GraphMonitor(QObject):
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change after those before it; it can be undone if there is a way back.
 
-        Args:
-            change: what to do.
-            then: called in the thread of the window when it has been done.
+        ``then`` is called in the thread of the window when it has been done.
         """
 
         def note(done: DoneChange) -> None:

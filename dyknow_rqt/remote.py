@@ -66,18 +66,9 @@ class Remote(ABC):
     def follow(
         self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
     ) -> Callable[[], None]:
-        """Listen to a topic of a node, and hand on its messages, reduced.
+        """Listen to a topic of a node, and hand on its messages, reduced, at most five a second.
 
-        At most five a second are handed on, in any thread.
-
-        Args:
-            topic: global name.
-            datatype: its ROS type; empty if unknown.
-            node: publishes it.
-            on_sample: takes the reduced messages.
-
-        Returns:
-            A function that stops listening, at once.
+        The type is empty if it is unknown. Returns a function that stops listening, at once.
         """
 
     @abstractmethod
@@ -96,8 +87,7 @@ class Remote(ABC):
     def find_manager(self) -> str:
         """Ask the master for the manager's address, and turn to the manager that is there.
 
-        Returns:
-            The address; empty if the master does not know the manager.
+        The address is empty if the master does not know the manager.
         """
 
     @abstractmethod

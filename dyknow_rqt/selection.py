@@ -18,14 +18,11 @@ Key = Union[str, Edge]
 
 
 class Selection(QObject):
-    """Selected vertices and arrows, and claims.
+    """Selected vertices and arrows, by their keys, and claims.
 
     With a claim its nodelets are selected, after each repair those that it has then. Nodelets that
-    are not drawn, but are in a table, stay selected; all else has to be seen.
-
-    Attributes:
-        keys: of vertices and arrows.
-        claims: ids; empty if something else than rows of streams was selected last.
+    are not drawn, but are in a table, stay selected; all else has to be seen. There are no claims
+    if something else than rows of streams was selected last.
     """
 
     #: Something else is selected now.

@@ -30,7 +30,6 @@ class SimulatedRemote(Remote):
     """A simulated manager, with ordinary nodes beside it.
 
     Attributes:
-        has_master: whether the master answers.
         address: that of the manager at the master; empty if the master does not know it.
         publishers: nodes that publish, by topic.
         subscribers: nodes that subscribe, by topic.

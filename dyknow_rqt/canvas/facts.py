@@ -20,14 +20,7 @@ from dyknow_rqt.graph.verdicts import PortVerdict
 
 
 class Facts:
-    """The graph, and its measurements.
-
-    Attributes:
-        traffic: of ports.
-        verdicts: the last ones, by the out-ports that they come from.
-        strains: of nodelets, by name.
-        transports: of connections to other processes, if a tool tip shows them.
-    """
+    """The graph, and its measurements; transports of connections if a tool tip shows them."""
 
     def __init__(self) -> None:
         self._snapshot = Snapshot()

@@ -57,12 +57,9 @@ def rectangle_of(area: Rectangle) -> QRectF:
 
 
 class Item(QGraphicsRectItem):
-    """The base of all items: colours, a tone, and a mark.
+    """The base of all items: colours, a tone, a mark, and what is highlighted under the pointer.
 
     It paints within its rectangle: Qt asks for that so often that Python must not answer.
-
-    Attributes:
-        key: the thing that is highlighted while the pointer is over it.
     """
 
     key: str | Edge = ""

@@ -30,12 +30,13 @@ from python_qt_binding.QtGui import (
 )
 from python_qt_binding.QtWidgets import QWidget
 
+from dyknow_rqt.canvas.appearance import Colours
+from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.items import BoxItem
+from dyknow_rqt.canvas.vertices import VertexItem
+
 if TYPE_CHECKING:
-    from dyknow_rqt.canvas.appearance import Colours
-    from dyknow_rqt.canvas.arrows import EdgeItem
-    from dyknow_rqt.canvas.items import BoxItem
     from dyknow_rqt.canvas.scene import GraphScene
-    from dyknow_rqt.canvas.vertices import VertexItem
 
 #: Pixels of the screen per pixel of the drawing: with less names cannot be read, and the overview
 #: paints everything.
@@ -60,14 +61,11 @@ _MOST_PIXELS = 6e6
 
 
 class Overview:
-    """A picture of the boxes, arrows and vertices in an area, without names.
+    """A picture of the boxes, arrows and vertices in an area of the drawing, without names.
 
     It is painted piece by piece, all things of one look together: one by one Python would be
-    called thousands of times for 500 nodelets. Until it is done the last picture is shown.
-
-    Attributes:
-        area: the shown part, in pixels of the drawing.
-        scale: pixels of the picture per pixel of the drawing; 0 before the first.
+    called thousands of times for 500 nodelets. Until it is done the last picture is shown. Its
+    scale, in pixels per pixel of the drawing, is 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -150,16 +148,10 @@ def paint_titles(
     colours: Colours,
     seen: QRectF,
 ) -> None:
-    """Write titles so large that they can be read; of two that meet only the first.
+    """Write titles so large that they can be read, in their owners; of two that meet the first.
 
-    Beside names that can be read they shrink with these, so as to cover none of them.
-
-    Args:
-        painter: in the coordinates of the drawing.
-        titles: their owners and their texts.
-        font: at full size.
-        colours: of the drawing.
-        seen: the part of the drawing that is in view; a title stays in it with its owner.
+    Beside names that can be read they shrink with these, so as to cover none of them. A title
+    stays in the part that is seen with its owner.
     """
     zoom = min(1.0, painter.worldTransform().m11())
     is_far = zoom * painter.device().devicePixelRatioF() < FAR

@@ -195,9 +195,7 @@ class GraphScene(QGraphicsScene):
     def set_zoom(self, zoom: float, seen: QRectF | None = None) -> None:
         """Let the overview paint things that are too small for names.
 
-        Args:
-            zoom: pixels of the screen per pixel of the drawing.
-            seen: the part of the drawing that is in view.
+        The zoom is in pixels of the screen per pixel of the drawing, of which a part is seen.
         """
         self._seen, self.zoom = seen or self._seen, zoom
         if self.is_far != (zoom < FAR):

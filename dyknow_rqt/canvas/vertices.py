@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
@@ -20,16 +20,13 @@ from python_qt_binding.QtGui import (
 )
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow.model.graph import PortRef, State
+from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
 from dyknow_rqt.graph.rates import Strain
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
 
 #: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
 _OVER = 4.0

@@ -22,11 +22,7 @@ _REACH = 50.0
 
 
 class Wire(QLabel):
-    """The words; they exist while nothing is drawn too, hidden.
-
-    Attributes:
-        start: the port that the connection is drawn from; None while none is drawn.
-    """
+    """The words, hidden while no connection is drawn; ``start`` is None then."""
 
     def __init__(self, view: GraphView) -> None:
         super().__init__(view.viewport())

@@ -44,14 +44,7 @@ class CannotLoad(DyKnowError):
 
 @dataclass(frozen=True)
 class Present:
-    """The state in which a change is made.
-
-    Attributes:
-        client: makes the change.
-        snapshot: the graph before the change.
-        library: the transformations before the change, by label.
-        outcome: words about the result, which steps add.
-    """
+    """The state in which a client makes a change; steps add words about its outcome."""
 
     client: BaseManagerClient
     snapshot: Snapshot = field(default_factory=Snapshot)

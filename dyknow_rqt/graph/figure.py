@@ -69,16 +69,10 @@ Group = Tuple[str, ...]
 
 @dataclass(frozen=True)
 class Vertex:
-    """An oval or a rectangle.
+    """An oval or a rectangle in the innermost of a group of boxes, with a note below its name.
 
-    Attributes:
-        key: unique in the figure, and the same for the same thing in every figure.
-        kind: nodelet, topic, ordinary node, collapsed box, waiting claim or planned nodelet.
-        name: global name.
-        group: the box that it stands in.
-        inputs: names of in-ports, in the order of declaration.
-        outputs: names of out-ports.
-        note: a line below the name.
+    The key is unique in the figure, and the same for the same thing in every figure. Ports are in
+    the order of declaration.
     """
 
     key: str
@@ -123,19 +117,9 @@ class Edge(NamedTuple):
 class Options:
     """The options of the view.
 
-    Attributes:
-        topics: draw topics as rectangles; else arrows lead from nodelet to nodelet.
-        nodelet_filter: which nodelets and nodes.
-        topic_filter: which topics.
-        hide_dead_sinks: leave out topics without a receiver.
-        hide_leaf_topics: leave out topics with one end only.
-        hide_debug: leave out names that are in every graph.
-        show_nodes: show ordinary nodes that use these topics.
-        boxes: the grouping of boxes.
-        depth: how many parts of a namespace make boxes, or of a host and a nodelet manager; 0 for
-            no boxes.
-        collapsed: boxes that are drawn as one vertex.
-        is_downwards: let streams flow from top to bottom; else from left to right.
+    Without ``topics`` arrows lead from nodelet to nodelet. Dead sinks are topics without a
+    receiver, leaf topics those with one end only; ``nodes`` are ordinary ones. The depth says how
+    many parts of a namespace make boxes, or of a host and a nodelet manager.
     """
 
     topics: bool = True

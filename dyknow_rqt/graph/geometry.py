@@ -90,12 +90,9 @@ def around(centre: Point, size: Size) -> Rectangle:
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of the vertices, edges and boxes of a figure.
+    """Centres of vertices, boxes, and curves from tail to head.
 
-    Attributes:
-        centres: of the vertices, by key.
-        curves: control points of cubic Bézier curves, 3 n + 1 of them, from tail to head.
-        boxes: of namespaces.
+    Curves have the control points of cubic Bézier curves, 3 n + 1 of them.
     """
 
     centres: Mapping[str, Point] = field(default_factory=dict)
@@ -129,13 +126,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with the sizes and the places of its parts.
+    """A figure, whose ports are in an order without crossings, with sizes and places.
 
-    Attributes:
-        figure: the drawn figure; the ports of its vertices are in an order without crossings.
-        sizes: of the vertices.
-        layout: places of all parts.
-        is_anew: made without regard to the drawing before.
+    One that is made anew is made without regard to the drawing before.
     """
 
     figure: Figure = field(default_factory=Figure)
@@ -204,14 +197,8 @@ def place_labels(
 ) -> dict[Edge, Rectangle]:
     """Place labels beside their curves, as near to the middle as there is room.
 
-    Args:
-        curves: control points of cubic Bézier curves, 3 n + 1 of them.
-        sizes: those that each label may have, the best first; the tallest labels, which have
-            most to say, are placed first.
-        obstacles: rectangles that labels must not cover, besides curves and each other.
-
-    Returns:
-        The areas of the labels; those that find no room are left out.
+    Those without room are left out. A label has one of its sizes, the best first; the tallest
+    labels, which have most to say, are placed first. None covers an obstacle, a curve or another.
     """
     paths = {edge: list(_points(curve)) for edge, curve in curves.items()}
     ground = _Ground()
@@ -288,12 +275,9 @@ _MOST = 20
 
 
 class Places:
-    """The places of the present wiring, which is known by the names of its nodelets.
+    """Where the user has put vertices, for each wiring, known by the names of its nodelets.
 
     A wiring that was not seen before takes over the places of the one before it.
-
-    Attributes:
-        present: centres by the keys of vertices.
     """
 
     def __init__(self) -> None:

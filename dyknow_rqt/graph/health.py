@@ -26,14 +26,7 @@ _WORDS = ("lost", "failed", "degraded", "slow", "waiting")
 
 
 class Ill(NamedTuple):
-    """A nodelet or a claim that is not well.
-
-    Attributes:
-        word: lost, failed, degraded, slow or waiting.
-        title: its name or tag, for people.
-        nodelet: its name; empty for a claim.
-        claim: its id; empty for a nodelet.
-    """
+    """A nodelet or a claim that is not well: a word, its name or tag, and which it is."""
 
     word: str
     title: str
@@ -63,13 +56,9 @@ PATIENCE, _MASTER_PATIENCE = 1.6, 2.5
 
 
 class Status(NamedTuple):
-    """The contact at one moment, for people.
+    """The contact at one moment, in a few words, and with its meaning for the shown graph.
 
-    Attributes:
-        is_current: the manager answers, so the shown state is current.
-        is_sound: and the master answers and knows it.
-        short: the state, in a few words.
-        text: the state, and its meaning for the shown graph.
+    It is current if the manager answers, and sound if the master answers too and knows it.
     """
 
     is_current: bool

@@ -67,11 +67,8 @@ def to_dot(
 ) -> str:
     """Write a figure as DOT.
 
-    Args:
-        figure: what to write.
-        sizes: of its vertices.
-        gap: pixels between ranks, for the words on an arrow.
-        around: the box in which all of it is, which is left out.
+    ``gap`` has the pixels between ranks, for the words on an arrow. The box ``around`` all of it
+    is left out.
     """
     lines = [
         "digraph dyknow {",
@@ -175,15 +172,10 @@ def _curve(text: str, height: float) -> tuple[Point, ...]:
 
 @dataclass(frozen=True)
 class DrawingOrder:
-    """A figure that is to be drawn.
+    """A figure that is to be drawn in a view of a shape, width by height.
 
-    Attributes:
-        figure: the vertices, arrows and boxes.
-        sizes: of its vertices.
-        gap: pixels between ranks, for the words on an arrow.
-        shape: of the view, width by height.
-        anew: whether to ignore the last drawing.
-        places: where the user has put vertices.
+    ``gap`` has the pixels between ranks, for the words on an arrow; ``anew`` ignores the last
+    drawing, but not the places where the user has put vertices.
     """
 
     figure: Figure
@@ -200,15 +192,10 @@ def arranged(
     layouts: Mapping[Piece, Layout],
     before: Drawing | None = None,
 ) -> Drawing:
-    """Arrange the parts of a figure.
+    """Arrange the parts of a figure: those that graphviz has not laid out are spread.
 
-    All but graphviz works from left to right, and a downward flow is turned for that.
-
-    Args:
-        order: what to draw.
-        parts: of its figure.
-        layouts: those that graphviz has made; other parts are spread.
-        before: the drawing on the screen; None to make a drawing without regard to it.
+    All but graphviz works from left to right, and a downward flow is turned for that. ``before``
+    is the drawing on the screen; None to make one without regard to it.
     """
     figure, sizes, shape, places = order.figure, order.sizes, order.shape, order.places
     is_turned = figure.is_downwards

@@ -34,14 +34,9 @@ class GraphMoment:
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference of a later moment from an earlier one.
+    """What came, went, moved and was mended since an earlier moment, and all of it in words.
 
-    Attributes:
-        came: names of nodelets.
-        went: names of nodelets.
-        moved: ports that are connected elsewhere.
-        mended: nodelets of claims with those that replaced them.
-        lines: all of it in words, and the states that changed.
+    Ports move when they are connected elsewhere; nodelets of claims are mended by others.
     """
 
     came: frozenset[str] = frozenset()

@@ -37,12 +37,9 @@ _TRIES = 40
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of a figure.
+    """A part of a figure, inside of boxes of a depth, with the arrows between its vertices.
 
-    Attributes:
-        figure: its vertices, and the arrows between them.
-        depth: how many boxes it is in.
-        parts: those in its box; empty if graphviz lays it out as a whole.
+    It has parts if it is one box, else graphviz lays it out as a whole.
     """
 
     figure: Figure
@@ -65,14 +62,10 @@ class Piece:
 def divide(
     figure: Figure, most: int = MOST, depth: int = 0, fineness: int = 0
 ) -> tuple[Piece, ...]:
-    """Divide a figure, in reading order.
+    """Divide the inside of boxes of a depth, in reading order, into parts of ``most`` vertices.
 
-    Args:
-        figure: the inside of boxes of that depth.
-        most: vertices of a part that is not divided.
-        depth: of the boxes around it.
-        fineness: 0: arrows hold a part together; 1: those outside of boxes, and those of topics
-            outside; 2: only the former, and none where each vertex is a part.
+    Fineness 0: arrows hold a part together; 1: those outside of boxes, and those of topics
+    outside; 2: only the former, and none where each vertex is a part.
     """
     found: list[Piece] = []
     for piece in _components(figure, depth, fineness if most > 1 else 3):

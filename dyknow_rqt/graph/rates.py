@@ -30,15 +30,10 @@ _BUSY = 0.5
 
 @dataclass(frozen=True)
 class PortRate:
-    """The traffic of a port.
+    """The traffic of a port: messages a second now, and since its nodelet was loaded.
 
-    Attributes:
-        rate: messages a second now.
-        drop_rate: dropped messages a second now.
-        messages: since its nodelet was loaded.
-        dropped: since its nodelet was loaded.
-        bandwidth: bytes a second now; None if the size of a message is not known.
-        age: seconds between the stamp of a message and its publication; None if not known.
+    The bandwidth is in bytes a second; the age is the time (s) from the stamp of a message to its
+    publication. Both are None if not known.
     """
 
     rate: float
@@ -65,11 +60,9 @@ class PortRate:
 
 @dataclass(frozen=True)
 class Strain:
-    """The load of a nodelet that makes it stand out.
+    """What makes a nodelet stand out: its load, and the text of an error that came lately.
 
-    Attributes:
-        load: share of one core, of 1 at most; without processor time that of its callbacks.
-        error: text of the last error of a callback, if that was lately; empty if not.
+    The load is a share of one core, of 1 at most; without processor time that of its callbacks.
     """
 
     load: float = 0.0

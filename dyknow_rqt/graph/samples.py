@@ -33,14 +33,10 @@ _DEPTHS = {"16": "u2", "mono16": "u2", "32F": "f4"}
 
 
 class SmallImage(NamedTuple):
-    """An image of at most ``WIDEST`` times ``HIGHEST`` pixels.
+    """An image of at most ``WIDEST`` times ``HIGHEST`` pixels, with its full size and encoding.
 
-    Attributes:
-        width: in pixels.
-        height: in pixels.
-        data: red, green and blue of each pixel, from the top left; or if the width is 0 a
-            compressed image, such as a JPEG.
-        note: its full size and encoding.
+    The data are red, green and blue of each pixel, from the top left; or if the width is 0 a
+    compressed image, such as a JPEG.
     """
 
     width: int
@@ -51,13 +47,9 @@ class SmallImage(NamedTuple):
 
 @dataclass(frozen=True)
 class Sample:
-    """One message, for people.
+    """One message, for people: as ``rostopic echo`` writes it, long parts cut.
 
-    Attributes:
-        text: as ``rostopic echo`` writes it, long parts cut.
-        numbers: by the paths of the fields.
-        image: the message, if it is one.
-        size: in bytes.
+    Numbers are by the paths of the fields; the size is in bytes.
     """
 
     text: str

@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import (
-    TYPE_CHECKING,
     AbstractSet,
     Iterable,
     Mapping,
@@ -18,12 +17,9 @@ from typing import (
 )
 
 from dyknow import names
-from dyknow.model.graph import PortRef, PortState
+from dyknow.model.graph import NodeletStatus, PortRef, PortState
 from dyknow.model.transformation import IN
 from dyknow.wiring.ports import Topic, topics_of
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
 
 #: One side of the master's system state: topics and the nodes that use them.
 Side = Sequence[Tuple[str, Sequence[str]]]
@@ -45,7 +41,7 @@ class Snapshot:
     """The computation graph at one moment; two are equal when there is nothing to redraw.
 
     Attributes:
-        nodelets: the nodelets of the manager's model.
+        nodelets: those of the manager's model.
         nodes: ordinary nodes that use topics of nodelets.
         taken: topics after out-ports that are not connected, where ordinary nodes publish.
         pending: tags of claims that wait, each with the reason.
@@ -107,10 +103,7 @@ def taken_topics(
 ) -> frozenset[str]:
     """Find topics after out-ports that are not connected, where ordinary nodes publish.
 
-    Args:
-        publishers: of all topics, as the master reports.
-        nodelets: all that run.
-        hosts: nodelet managers; their topics are used by their nodelets.
+    Topics of the nodelet managers ``hosts`` are used by their nodelets.
     """
     wishes = {
         names.topic_after(nodelet.name, port.name)
@@ -159,11 +152,7 @@ def not_destroyed(names: Sequence[str], snapshot: Snapshot) -> str:
 
 
 def protection(names: Sequence[str], snapshot: Snapshot) -> tuple[list[str], bool]:
-    """Decide how a switch of the protection of nodelets works.
-
-    Returns:
-        The nodelets to protect, those that are not yet; or if all are, all of them, to release.
-    """
+    """The nodelets to protect, those that are not yet; or if all are, all of them, to release."""
     nodelets = (snapshot.nodelet(name) for name in names)
     free = [each.name for each in nodelets if each is not None and not each.is_protected]
     return (free, True) if free or not names else (list(names), False)

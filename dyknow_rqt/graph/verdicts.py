@@ -16,11 +16,9 @@ from dyknow.model.transformation import IN, VERDICT
 
 @dataclass(frozen=True)
 class PortVerdict:
-    """The last verdict from an out-port.
+    """The first of the last equal verdicts from an out-port; None before there is one.
 
-    Attributes:
-        formula: the tags of the stream of verdicts, or else the formula.
-        verdict: the first of the equal verdicts; None before there is one.
+    Its formula has the tags of the stream of verdicts, or else the formula.
     """
 
     formula: str
@@ -51,12 +49,9 @@ def port_verdicts(
     verdicts: Mapping[str, Verdict | None],
     streams: Iterable[StreamStatus],
 ) -> dict[PortRef, PortVerdict]:
-    """Find the last verdict of each out-port.
+    """Find the last verdict, by topic, of each out-port.
 
-    Args:
-        nodelets: all of the graph.
-        verdicts: the last ones, by topic.
-        streams: claims; they have the bindings of the variables in tags of ports.
+    Claims have the bindings of the variables in tags of ports.
     """
     tags: dict[str, list[str]] = {}
     for stream in streams:

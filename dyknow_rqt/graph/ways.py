@@ -38,13 +38,8 @@ _TRIED = 6
 class WayPart(NamedTuple):
     """A line of a way: a supplier, below the one that it supplies; at depth 0 the whole way.
 
-    Attributes:
-        depth: below the whole.
-        port: the in-port that it supplies; empty at the whole and the last supplier.
-        what: transformation with out-port, or a topic.
-        how: such as ``new`` or ``runs as /tracker``.
-        cost: as a text; empty for nothing.
-        bindings: values of its variables.
+    ``port`` is the in-port that it supplies, empty at the whole and the last supplier; ``what`` a
+    transformation with its out-port, or a topic; ``how`` such as ``new`` or ``runs as /tracker``.
     """
 
     depth: int
@@ -94,9 +89,7 @@ def read_way(text: str) -> Way:
 def next_ways(plan: Callable[[str], Acquisition | Replanned], way: Way) -> list[Way]:
     """Plan without each transformation of a way: the ways that differ, the cheapest first.
 
-    Args:
-        plan: plans without a transformation (label), or raises Refused.
-        way: the best way.
+    ``plan`` plans without a label, or raises Refused.
     """
     labels = dict.fromkeys(part.label for part in way[1:] if part.label)
     found: dict[str, tuple[float, str]] = {}

@@ -24,12 +24,9 @@ from dyknow_rqt.graph.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class Rewire(Change):
-    """Connects ports of any number of nodelets: all of them, or none.
+    """Connects ports of any number of nodelets, all of them or none, each to a topic.
 
-    Attributes:
-        topics: the topic for each port; empty to disconnect it.
-        text: the change in a few words.
-        expected: the topic of each port before the change.
+    An empty topic disconnects a port; ``expected`` has their topics before the change.
     """
 
     topics: tuple[tuple[PortRef, str], ...]

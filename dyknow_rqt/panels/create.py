@@ -38,11 +38,9 @@ from dyknow_rqt.widgets import column_in, field_of, form_in
 
 
 class GivenFields(QWidget):
-    """A field for each variable and each parameter; empty fields are not given.
+    """A field for each variable and each parameter, by name; empty fields are not given.
 
-    Attributes:
-        fields: by name, those of the transformation.
-        more: for parameters that the transformation does not name; None without a transformation.
+    ``more`` is for parameters that the transformation does not name; None without one.
     """
 
     def __init__(self) -> None:

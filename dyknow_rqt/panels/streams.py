@@ -9,7 +9,7 @@ import getpass
 import socket
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Callable, Mapping, Sequence
+from typing import Callable, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtWidgets import (
@@ -23,7 +23,15 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.streams import (
+    Acquisition,
+    ClaimState,
+    Replanned,
+    StreamEvent,
+    StreamRequest,
+    StreamStatus,
+)
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
@@ -33,10 +41,6 @@ from dyknow_rqt.panels.tables import KeyedTable, Panel, WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, field_of, form_in, row_of, text_of
-
-if TYPE_CHECKING:
-    from dyknow.model.client import BaseManagerClient
-    from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamStatus
 
 #: The first column, the key of the rows, is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
