@@ -126,8 +126,7 @@ class Slices(QObject):
         self.is_working = False
         self._steps: dict[Job, Iterator[None]] = {}
         self._again: set[Job] = set()
-        self._timer = QTimer(self, interval=0)
-        self._timer.timeout.connect(self.go_on)
+        self._timer = QTimer(self, interval=0, timeout=self.go_on)
 
     def want(self, job: Job) -> None:
         """Do a job soon, and once more if it is under way."""

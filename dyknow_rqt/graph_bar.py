@@ -14,17 +14,15 @@ from python_qt_binding.QtWidgets import (
     QAction,
     QActionGroup,
     QLabel,
-    QLineEdit,
     QMenu,
     QToolBar,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from dyknow_rqt.graph.figure import Boxes, Group, Options
 from dyknow_rqt.graph.filters import Filter
-from dyknow_rqt.widgets import FilterEdit, row_of
+from dyknow_rqt.widgets import FilterEdit, bare_column_in, field_of, row_of
 
 _TYPING = 250  # ms
 #: A view is narrow if it is so many times higher than wide.
@@ -115,16 +113,15 @@ class GraphBar(QWidget):
         self.next_ill = QAction("Next that is not &well", self)
         _give_keys(self.keys, "Shift+?", "?", "F1")
         _give_keys(self.next_ill, "F8")
-        self.search = QLineEdit()
-        self.search.setPlaceholderText("find (Ctrl+F)")
+        self.search = field_of("find (Ctrl+F)", name="Find")
         self.search.setClearButtonEnabled(True)
-        self.search.setAccessibleName("Find")
         self.search.setFixedWidth(130)
         self.hits = QLabel()
         self.hits.hide()
         self.nodelets, self.topics = (FilterEdit(what) for what in _FILTERS)
-        self._typing = QTimer(self, singleShot=True, interval=_TYPING)
-        self._typing.timeout.connect(self.options_changed)
+        self._typing = QTimer(
+            self, singleShot=True, interval=_TYPING, timeout=self.options_changed
+        )
         self._arrange()
         self.show_history("", "")
 
@@ -252,11 +249,7 @@ class GraphBar(QWidget):
         second.setLayout(row_of(self.nodelets, self.topics))
         second.layout().setContentsMargins(4, 0, 4, 4)
         second.hide()
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 4, 0)
-        rows.setSpacing(0)
-        rows.addLayout(first)
-        rows.addWidget(second)
+        bare_column_in(self, first, second).setContentsMargins(0, 0, 4, 0)
         self.filter.toggled.connect(second.setVisible)
         self.filter.toggled.connect(self.options_changed)
         for edit in (self.nodelets, self.topics):

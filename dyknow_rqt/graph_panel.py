@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer
-from python_qt_binding.QtWidgets import QMenu, QVBoxLayout, QWidget
+from python_qt_binding.QtWidgets import QMenu, QWidget
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.background_calls import BackgroundCalls
@@ -32,7 +32,7 @@ from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.timeline import TimelinePanel
 from dyknow_rqt.topic_card import TopicCard
-from dyknow_rqt.widgets import Sign
+from dyknow_rqt.widgets import Sign, bare_column_in
 
 #: Milliseconds that a view must keep its size before the graph follows.
 _TURNING = 200
@@ -54,8 +54,7 @@ class GraphPanel(QWidget):
         self._shape = 1.0
         self._plan: Sequence[WayPart] = ()
         self._calls = BackgroundCalls(1)
-        self._turning = QTimer(self, singleShot=True, interval=_TURNING)
-        self._turning.timeout.connect(self._turn)
+        self._turning = QTimer(self, singleShot=True, interval=_TURNING, timeout=self._turn)
         self.bar = GraphBar()
         self.view = GraphView()
         self.edits = GraphEdits(monitor, self.view, selection, line, self)
@@ -64,12 +63,7 @@ class GraphPanel(QWidget):
         self.files = GraphFiles(monitor, self.view.scene(), self.bar, self)
         self.sign = Sign(self.view)
         self.card = TopicCard(monitor, self.view)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.bar)
-        column.addWidget(self.view, 1)
-        column.addWidget(self.timeline)
+        bare_column_in(self, self.bar, self.view, self.timeline).setStretch(1, 1)
         self.view.installEventFilter(self)
         self._listen()
         self._show_sign()

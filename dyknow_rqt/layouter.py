@@ -72,8 +72,7 @@ class Layouter(QObject):
         self._drawing = Drawing()
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
-        self._waiting = QTimer(self, singleShot=True, interval=_WAITING)
-        self._waiting.timeout.connect(self._arrange)
+        self._waiting = QTimer(self, singleShot=True, interval=_WAITING, timeout=self._arrange)
 
     def lay_out(self, order: DrawingOrder) -> None:
         """Lay a figure out, then emit ``ready``, more than once if graphviz takes long."""

@@ -204,9 +204,6 @@ class HealthLabel(QLabel):
             self._last = ills[number % len(ills)]
             self.wanted.emit(self._last)
 
-    def next(self) -> None:
-        self.lead("")
-
     def changeEvent(self, event: QEvent) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:

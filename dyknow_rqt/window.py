@@ -164,7 +164,7 @@ class DyKnowWidget(QWidget):
         for table in (self.active.table, self.streams.table, self.streams.plan):
             table.picked.connect(self.graph.reveal_selection)
         self.health.wanted.connect(self._lead_to)
-        self.graph.bar.next_ill.triggered.connect(self.health.next)
+        self.graph.bar.next_ill.triggered.connect(lambda: self.health.lead(""))
         self.streams.planned.connect(self.graph.show_plan)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])

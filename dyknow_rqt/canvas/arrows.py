@@ -254,8 +254,7 @@ class ArrowLabels(QObject):
         self._calls = BackgroundCalls(1)
         #: Whether some are to be placed again, when they can be read.
         self.are_wanted = False
-        self._soon = QTimer(self, singleShot=True, interval=0)
-        self._soon.timeout.connect(self._place)
+        self._soon = QTimer(self, singleShot=True, interval=0, timeout=self._place)
 
     def close(self) -> None:
         self._soon.stop()

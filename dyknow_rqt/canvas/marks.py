@@ -41,8 +41,7 @@ class Marks(QObject):
         self._shown = Difference()
         self.ghosts: dict[str, VertexItem] = {}
         self.links: list[QGraphicsItem] = []
-        self._ending = QTimer(self, singleShot=True)
-        self._ending.timeout.connect(self._follow)
+        self._ending = QTimer(self, singleShot=True, timeout=self._follow)
 
     def show(self, found: Difference, is_lasting: bool = False) -> None:
         """Mark a difference besides the marked ones; ``is_lasting`` until all are cleared."""

@@ -234,8 +234,7 @@ class Minimap(QWidget):
         self._scene = scene
         self._seen = QRectF()
         self._overview = Overview()
-        self._lag = QTimer(self, singleShot=True, interval=_LAG)
-        self._lag.timeout.connect(self._look)
+        self._lag = QTimer(self, singleShot=True, interval=_LAG, timeout=self._look)
         self.setCursor(Qt.SizeAllCursor)
         self.setToolTip("The whole graph: press or drag to move there")
         self.setAccessibleName("Map of the graph")

@@ -82,7 +82,7 @@ def to_dot(
     lines += _members(figure, sizes, around, "  ")
     tail, head = ("s", "n") if figure.is_downwards else ("e", "w")
     for number, edge in enumerate(figure.edges):
-        label = _ports(edge)
+        label = " → ".join(filter(None, (edge.tail_port, edge.head_port)))
         lines.append(
             f"  {quote(edge.tail)} -> {quote(edge.head)} "
             f'[id="e{number}", tailport="{tail}", headport="{head}", tooltip={quote(label)}'
@@ -126,7 +126,7 @@ def _members(
     lines = [indent + _vertex(v, sizes[v.key]) for v in figure.vertices if v.group == group]
     for inner in figure.groups():
         if inner[:-1] == group:
-            lines.append(f"{indent}subgraph {quote(_cluster(inner))} {{")
+            lines.append(f"{indent}subgraph {quote('cluster_' + ' '.join(inner))} {{")
             lines.append(f'{indent}  label={quote(inner[-1])}; labeljust="l";')
             lines += _members(figure, sizes, inner, indent + "  ")
             lines.append(indent + "}")
@@ -141,16 +141,8 @@ def _vertex(vertex: Vertex, size: Size) -> str:
     )
 
 
-def _cluster(group: tuple[str, ...]) -> str:
-    return "cluster_" + " ".join(group)
-
-
 def _touches_topic(edge: Edge) -> bool:
     return any(key.startswith(VertexKind.TOPIC.value + "_") for key in (edge.tail, edge.head))
-
-
-def _ports(edge: Edge) -> str:
-    return " → ".join(part for part in (edge.tail_port, edge.head_port) if part)
 
 
 def _point(text: str, height: float) -> Point:
