@@ -45,8 +45,6 @@ def stabilise(
     not move alike are left out.
     """
     common = sorted(set(old.centres) & set(new.centres))
-    if not common:
-        return new
     shift = Point(
         median(old.centres[key].x - new.centres[key].x for key in common),
         median(old.centres[key].y - new.centres[key].y for key in common),
