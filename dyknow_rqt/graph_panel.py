@@ -18,9 +18,8 @@ from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.layout import DrawingOrder
-from dyknow_rqt.graph.moments import Difference, GraphMoment
-from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.measurements import PortRate
+from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Snapshot
 from dyknow_rqt.graph.ways import WayPart, fates_of, with_ghosts
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits

@@ -29,8 +29,7 @@ from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, Tone
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of, write
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size, place_labels
-from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.verdicts import PortVerdict
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict
 
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.scene import GraphScene

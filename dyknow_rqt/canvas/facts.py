@@ -14,9 +14,8 @@ from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind, key_of
-from dyknow_rqt.graph.rates import PortRate, Strain
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict, Strain
 from dyknow_rqt.graph.snapshot import Snapshot, Transports, connections_of
-from dyknow_rqt.graph.verdicts import PortVerdict
 
 
 class Facts:

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The base class of the items, and the small ones: boxes and ports."""
+"""The base class of the items, and the small ones: boxes, ports, and a wire that a hand draws."""
 
 from __future__ import annotations
 
 import enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
     QBrush,
     QColor,
@@ -16,17 +16,21 @@ from python_qt_binding.QtGui import (
     QFontMetricsF,
     QPainter,
     QPainterPath,
+    QPalette,
     QPen,
 )
-from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
+from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraphicsRectItem, QLabel
 
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
-from dyknow.model.transformation import IN
+from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
-from dyknow_rqt.graph.verdicts import PortVerdict
+from dyknow_rqt.graph.measurements import PortVerdict
+
+if TYPE_CHECKING:
+    from dyknow_rqt.canvas.view import GraphView
 
 PORT_RADIUS = 4.0
 #: Pixels: a smaller dot tells nothing beside the arrow that ends in it.
@@ -216,3 +220,61 @@ class PortItem(Item):
 
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=False)
+
+
+#: How far the line leads straight on from its ends, in pixels of the drawing.
+_REACH = 50.0
+
+
+class Wire(QLabel):
+    """The words, hidden while no connection is drawn; ``start`` is None then."""
+
+    def __init__(self, view: GraphView) -> None:
+        super().__init__(view.viewport())
+        self._view = view
+        self.start: PortItem | None = None
+        self._line = QGraphicsPathItem()
+        self.setAttribute(Qt.WA_TransparentForMouseEvents)
+        self.setForegroundRole(QPalette.ToolTipText)
+        self.setBackgroundRole(QPalette.ToolTipBase)
+        self.setAutoFillBackground(True)
+        self.setMargin(4)
+        self.hide()
+
+    def begin(self, start: PortItem) -> None:
+        self.start, self._line = start, QGraphicsPathItem()
+        self._line.setPen(QPen(start.colours.chosen, 2, Qt.DashLine))
+        self._line.setZValue(20)
+        self._view.scene().addItem(self._line)
+
+    def lead(self, start: PortItem, end: QPointF) -> None:
+        """Lead the line to a place of the drawing."""
+        reach = _REACH if start.direction == OUT else -_REACH
+        is_downwards = self._view.scene().figure.is_downwards
+        way = QPointF(0, reach) if is_downwards else QPointF(reach, 0)
+        path = QPainterPath(start.scenePos())
+        path.cubicTo(start.scenePos() + way, end - way, end)
+        self._line.setPath(path)
+
+    def end(self) -> None:
+        if self.start is not None:
+            self._view.scene().removeItem(self._line)
+        self.start = None
+        self.hide()
+
+    def say(self, text: str) -> None:
+        """Say something beside the pointer."""
+        self.setText(text)
+        self.setWordWrap(False)
+        width = min(self.sizeHint().width(), self._view.viewport().width())
+        self.setWordWrap(True)
+        self.resize(width, self.heightForWidth(width))
+        self.show()
+
+    def stay_beside(self, place: QPoint) -> None:
+        """Keep the words in the view, beside a place of it."""
+        room = self._view.viewport().size()
+        left = max(0, min(place.x() + 18, room.width() - self.width()))
+        below = place.y() + 24
+        is_room = below + self.height() <= room.height()
+        self.move(left, below if is_room else place.y() - 12 - self.height())

@@ -17,7 +17,7 @@ from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind, key_of
-from dyknow_rqt.graph.moments import Difference
+from dyknow_rqt.graph.snapshot import Difference
 
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.scene import GraphScene

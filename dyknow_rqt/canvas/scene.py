@@ -29,9 +29,8 @@ from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Point, Size, boxes_around, curve_between
-from dyknow_rqt.graph.rates import PortRate, Strain
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict, Strain
 from dyknow_rqt.graph.snapshot import Snapshot, Transports
-from dyknow_rqt.graph.verdicts import PortVerdict
 from dyknow_rqt.widgets import wrapped
 
 Key = TypeVar("Key")

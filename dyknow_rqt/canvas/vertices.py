@@ -26,7 +26,7 @@ from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, 
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.graph.rates import Strain
+from dyknow_rqt.graph.measurements import Strain
 
 #: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
 _OVER = 4.0

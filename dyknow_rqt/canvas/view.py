@@ -13,11 +13,10 @@ from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.items import Item, PortItem
+from dyknow_rqt.canvas.items import Item, PortItem, Wire
 from dyknow_rqt.canvas.overview import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.canvas.wire import Wire
 from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.geometry import Point
 

@@ -11,7 +11,7 @@ from typing import Callable, Iterable, Mapping, NamedTuple
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.periodic import RunningClock
-from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.measurements import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
 
 _OF_NODELETS = {State.LOST: "lost", State.FAILED: "failed"}

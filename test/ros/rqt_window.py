@@ -33,7 +33,7 @@ from dyknow.model.streams import StreamStatus
 from dyknow.ros.wire.master import Master
 from dyknow_rqt import screenshots
 from dyknow_rqt.graph.changes import Change, spawn
-from dyknow_rqt.graph.moments import difference
+from dyknow_rqt.graph.snapshot import difference
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget

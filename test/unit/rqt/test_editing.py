@@ -21,6 +21,7 @@ from unit.rqt.hands import (
     is_settled,
     move,
     topic,
+    undo,
     until,
     vertex_keys,
     window_of,
@@ -188,8 +189,7 @@ def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, wind
     assert topic(remote, made) == topic(remote, CEILING) == "/field/ceiling_camera/field_position"
     until(qtbot, lambda: "n_/field/tracker_2" in view.scene().vertices)
     assert (view.scene().vertices["n_/field/tracker_2"].pos() - place).manhattanLength() < 1
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker_2") is None)
     until(qtbot, lambda: topic(remote, CEILING) == "")
     remote.client.set_config("/field/tracker", {"position": ""})
@@ -251,8 +251,7 @@ def test_a_wire_dropped_on_an_arrow_splices(qtbot, window, remote, side):
     QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, on)
     until(qtbot, lambda: topic(remote, RESIZE) == "/nao1/half/resized")
     assert (topic(remote, ends[0]), topic(remote, ends[1])) == (YUV, "/nao1/half/resized")
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: topic(remote, RESIZE) == YUV)
     assert topic(remote, ends[0]) == topic(remote, ends[1]) == ""
 
@@ -300,7 +299,7 @@ def test_nodelets_are_restarted_and_that_cannot_be_undone(qtbot, window, remote)
     window.monitor.done.connect(done.append)
     context_menu(qtbot, window, items["n_/nao1/subsampler"])["Re&start"].trigger()
     until(qtbot, lambda: done == ["done: restart /nao1/subsampler"])
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: "was restarted" in window.line.text)
 
 

@@ -20,6 +20,7 @@ from unit.rqt.hands import (
     move,
     no_boxes,
     topic,
+    undo,
     until,
     vertex_keys,
     wiring_of,
@@ -111,8 +112,7 @@ def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, win
     scene.edges[arrow].setSelected(True)
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
     until(qtbot, lambda: topic(remote, TRACKER) == "")
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
     window.graph.view.select(window.graph.view.scene().vertices["n_/field/tracker"])
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
@@ -122,8 +122,7 @@ def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, win
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker") is None)
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
 
 
@@ -160,7 +159,7 @@ def test_a_wiring_is_saved_and_loaded_and_that_is_taken_back(qtbot, window, remo
     files.load(str(path))
     until(qtbot, lambda: window.line.text == "done: load wiring.xml")
     assert wiring_of(remote.graph().nodelets) == wiring_of(whole)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: window.line.text == "done: undo 'load wiring.xml'")
     assert remote.graph().nodelets == less
     assert "tracker" not in {each.label for each in remote.client.get_model().transformations}
@@ -336,10 +335,15 @@ def test_highlights_go_with_what_was_highlighted(qtbot, window, remote):
         items = (*scene.vertices.values(), *scene.edges.values())
         return {item.tone.value for item in items} - {"none"}
 
-    scene.highlight("n_/nao1/resize")
+    qtbot.mouseMove(view.viewport(), centre_of(view, "n_/nao1/resize"))
+    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
+    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
+    assert scene.vertices["t_/nao1/preview"].tone.value == "out"
     assert tones() == {"self", "in", "out"}
     remote.client.set_config("/nao1/resize", {"resized": ""})
     until(qtbot, lambda: tones() == {"self", "in"})
+    remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
+    until(qtbot, lambda: scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both")
     remote.client.destroy("/nao1/resize")
     until(qtbot, lambda: "n_/nao1/resize" not in vertex_keys(window))
     assert tones() == set()

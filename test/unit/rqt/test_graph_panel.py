@@ -12,26 +12,11 @@ import pytest
 from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QWheelEvent
 from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
-from unit.rqt.hands import centre_of, drag, is_settled, until, vertex_keys
+from unit.rqt.hands import centre_of, drag, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph_files import save_drawing
-
-
-def test_hovering_lights_up_the_neighbours(qtbot, window, remote):
-    scene = window.graph.view.scene()
-    qtbot.mouseMove(window.graph.view.viewport(), centre_of(window.graph.view, "n_/nao1/resize"))
-    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
-    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
-    assert scene.vertices["t_/nao1/preview"].tone.value == "out"
-    assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
-    remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
-    loop = {("n_/nao1/resize", "t_/nao1/top_camera/yuv")}
-    until(qtbot, lambda: loop <= {(edge.tail, edge.head) for edge in scene.edges})
-    until(qtbot, lambda: is_settled(window))
-    scene.highlight("n_/nao1/resize")
-    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
 
 
 def test_the_wheel_zooms_where_the_pointer_is(qtbot, window):
@@ -188,15 +173,11 @@ def test_states_are_told_apart(window):
         ("n_/field/tracker", ""),
     ):
         assert vertices[key]._badge() == badge, key
-    assert "no device /dev/video4" in scene.facts.tip_of(vertices["n_/field/ceiling_camera"])
-
-
-def test_a_nodelet_that_is_back_has_its_state_again(window):
-    facts = window.graph.view.scene().facts
-    item = window.graph.view.scene().vertices["n_/field/ceiling_camera"]
+    item = vertices["n_/field/ceiling_camera"]
+    assert "no device /dev/video4" in scene.facts.tip_of(item)
     for snapshot, badge in ((Snapshot(), ""), (window.monitor.snapshot, "failed")):
-        facts.take(snapshot)
-        facts.show_vertex(item)
+        scene.facts.take(snapshot)  # it goes, and is back
+        scene.facts.show_vertex(item)
         assert item._badge() == badge
 
 

@@ -23,7 +23,7 @@ from dyknow.periodic import RunningClock
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.changes import Change, protect, spawn
 from dyknow_rqt.graph.health import Contact, ills_of
-from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.measurements import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.screenshots import dark_palette
@@ -328,7 +328,9 @@ def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remot
     for palette in (QPalette(), dark_palette()):
         window.setPalette(palette)
         assert corner_of(sign) == colours_of(palette).alarm
-        drawn = window.graph.view.scene().vertices["n_/nao1/resize"].colours
+        item = window.graph.view.scene().vertices["n_/nao1/resize"]
+        drawn = item.colours
+        assert item.ports["image"].colours == drawn and drawn.paper == palette.color(QPalette.Base)
         background = window.palette().color(QPalette.Window)
         for text, ground in (
             (sign.palette().color(QPalette.WindowText), corner_of(sign)),

@@ -22,7 +22,7 @@ from dyknow_rqt.canvas.overview import FAR, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size, boxes_around, place_labels
-from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.measurements import PortRate
 
 SIZE = Size(40.0, 12.0)
 SIZES = (SIZE, Size(30.0, 12.0))

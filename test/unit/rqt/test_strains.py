@@ -17,8 +17,7 @@ from dyknow.model.graph import NodeletStatus, PortRef, PortState, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import IN, OUT, VERDICT, Parameter
 from dyknow_rqt.canvas.overview import _shapes
-from dyknow_rqt.graph.rates import PortRate, Strain
-from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
+from dyknow_rqt.graph.measurements import PortRate, Strain, port_verdicts, verdict_sources
 
 CAMERA, TRACKER = "/nao1/bottom_camera", "/field/tracker"
 #: Bytes a second, and pixels.

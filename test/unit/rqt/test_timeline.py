@@ -26,8 +26,7 @@ from unit.rqt.test_graph import nodelet
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow_rqt.canvas.items import Mark
-from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, Snapshot, difference
 from dyknow_rqt.screenshots import dark_palette
 
 BALL = "/field/ball"
