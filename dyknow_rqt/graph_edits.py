@@ -20,6 +20,7 @@ from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph import changes
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Places, Point
+from dyknow_rqt.graph.snapshot import not_destroyed
 from dyknow_rqt.graph.wiring import (
     Rewire,
     connect,
@@ -38,6 +39,8 @@ from dyknow_rqt.status_line import StatusLine
 
 #: So many ports are named, and so many things to make are offered.
 _NAMED, _OFFERED = 3, 15
+#: The most nodelets that are named in a question; of more, only the tool tip has the names.
+_ASKED = 5
 
 
 class GraphEdits(QObject):
@@ -52,10 +55,6 @@ class GraphEdits(QObject):
     connection_wanted = Signal(str, str)
     #: Make a nodelet; the label of its transformation, or an empty text.
     create_wanted = Signal(str)
-    #: Destroy nodelets, after asking; their names.
-    destroy_wanted = Signal(object)
-    #: Protect nodelets, or release them; their names.
-    protect_wanted = Signal(object, bool)
     #: Show the last message of a topic.
     topic_wanted = Signal(str)
 
@@ -160,10 +159,24 @@ class GraphEdits(QObject):
         if refs:
             self.disconnect_ports(refs)
         elif self._selection.nodelets:
-            self.destroy_wanted.emit(self._selection.nodelets)
+            self.ask_to_destroy(self._selection.nodelets)
 
     def disconnect_ports(self, refs: tuple[PortRef, ...]) -> None:
         self._monitor.do(disconnect(self._monitor.snapshot, refs))
+
+    def ask_to_destroy(self, nodelets: Sequence[str]) -> None:
+        why_not = not_destroyed(nodelets, self._monitor.snapshot)
+        if why_not:
+            self._line.report(why_not)
+            return
+        steps = [changes.destroy(name) for name in nodelets]
+        question = f"Destroy {', '.join(nodelets)}?"
+        if len(nodelets) > _ASKED:
+            question = "\n".join([f"Destroy {len(nodelets)} nodelets?", *nodelets])
+        self._line.ask(question, "Destroy", lambda: self._monitor.do_in_turn(steps))
+
+    def protect(self, nodelets: Sequence[str], on: bool) -> None:
+        self._monitor.do_in_turn([changes.protect(name, on) for name in nodelets])
 
     def restart(self, nodelets: Sequence[str]) -> None:
         self._monitor.do(changes.restart(tuple(nodelets)))

@@ -59,7 +59,7 @@ def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent:
         what = "" if len(nodelets) == 1 else f" {_count(nodelets, 'nodelet')}"
         names, on = protection(nodelets, snapshot)
         text = f"&Protect{what}" if on else f"&Release{what} from protection"
-        _add(menu, text, partial(edits.protect_wanted.emit, names, on))
+        _add(menu, text, partial(edits.protect, names, on))
         foreign, kept = not_ours(nodelets, snapshot), not_destroyed(nodelets, snapshot)
         _add(menu, f"Re&start{what}", partial(edits.restart, nodelets), foreign)
         found = [snapshot.nodelet(name) for name in nodelets]
@@ -67,7 +67,7 @@ def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent:
         text = "its" if len(nodelets) == 1 else "their"
         text = f"&Isolate{what} in {text} own process" if on else f"Share a process{what}"
         _add(menu, text, partial(edits.isolate, nodelets, on), kept)
-        _add(menu, f"D&estroy{what} …", partial(edits.destroy_wanted.emit, nodelets), kept)
+        _add(menu, f"D&estroy{what} …", partial(edits.ask_to_destroy, nodelets), kept)
     named = [*nodelets, *topics, *nodes, *(edge.topic for edge in edges)]
     _add_copy(menu, dict.fromkeys(named))
     return menu

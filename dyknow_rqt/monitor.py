@@ -199,6 +199,11 @@ class GraphMonitor(QObject):
 
         self._in_turn(change.text, begin)
 
+    def do_in_turn(self, changes: Sequence[Change]) -> None:
+        """Make changes one after the other, up to the first that is refused."""
+        if changes:
+            self.do(changes[0], lambda: self.do_in_turn(changes[1:]))
+
     def undo(self) -> None:
         self._in_turn("undo", self._undo)
 

@@ -59,7 +59,7 @@ class DyKnowWidget(QWidget):
         self.selection = Selection(self.monitor)
         self._is_chosen = False
         self.graph = GraphPanel(self.monitor, self.selection, self.line)
-        self.active = ActivePanel(self.monitor, self.line, self.selection)
+        self.active = ActivePanel(self.monitor, self.line, self.selection, self.graph.edits)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
         self.connect_ = ConnectPanel(self.monitor, self.line)
@@ -170,8 +170,6 @@ class DyKnowWidget(QWidget):
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
         self.graph.bar.keys.triggered.connect(self.show_keys)
         actions = self.graph.edits
-        actions.destroy_wanted.connect(self.active.ask_to_destroy)
-        actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
 

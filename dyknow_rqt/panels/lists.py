@@ -5,23 +5,22 @@
 
 from __future__ import annotations
 
-from typing import Mapping, Sequence
+from typing import Mapping
 
 from python_qt_binding.QtCore import QPoint, Qt, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
-from dyknow_rqt.graph.changes import add_transformations, destroy, protect, remove_transformations
+from dyknow_rqt.graph.changes import add_transformations, remove_transformations
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
+from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, row_of, text_of
 
-#: The most nodelets that are named in a question; of more, only the tool tip has the names.
-_NAMED = 5
 _TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
 
 
@@ -31,9 +30,11 @@ class ActivePanel(Panel):
     #: A context menu of the selection is wanted, at this place on the screen.
     menu_wanted = Signal(QPoint)
 
-    def __init__(self, monitor: GraphMonitor, line: StatusLine, selection: Selection) -> None:
+    def __init__(
+        self, monitor: GraphMonitor, line: StatusLine, selection: Selection, edits: GraphEdits
+    ) -> None:
         super().__init__(monitor, line)
-        self._selection = selection
+        self._selection, self._edits = selection, edits
         self.table = KeyedTable(_TITLES, "Active nodelets")
         self.table.setContextMenuPolicy(Qt.CustomContextMenu)
         self.destroy = QPushButton("Des&troy …", clicked=self._destroy_chosen)
@@ -48,26 +49,12 @@ class ActivePanel(Panel):
         self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
 
-    def ask_to_destroy(self, names: Sequence[str]) -> None:
-        why_not = not_destroyed(names, self._monitor.snapshot)
-        if why_not:
-            self._line.report(why_not)
-            return
-        changes = [destroy(name) for name in names]
-        question = f"Destroy {', '.join(names)}?"
-        if len(names) > _NAMED:
-            question = "\n".join([f"Destroy {len(names)} nodelets?", *names])
-        self._line.ask(question, "Destroy", lambda: self._do_in_turn(changes))
-
     def _destroy_chosen(self) -> None:
         if self._selection.nodelets:
-            self.ask_to_destroy(self._selection.nodelets)
+            self._edits.ask_to_destroy(self._selection.nodelets)
 
     def _protect_chosen(self) -> None:
-        self.set_protection(*protection(self._selection.nodelets, self._monitor.snapshot))
-
-    def set_protection(self, names: Sequence[str], on: bool) -> None:
-        self._do_in_turn([protect(name, on) for name in names])
+        self._edits.protect(*protection(self._selection.nodelets, self._monitor.snapshot))
 
     def _want_menu(self, place: QPoint) -> None:
         self.menu_wanted.emit(self.table.viewport().mapToGlobal(place))

@@ -185,7 +185,7 @@ class StreamsPanel(Panel):
     # What there is
 
     def _release(self) -> None:
-        self._do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
+        self._monitor.do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
 
     def _replan(self) -> None:
         """Show the plan that is the cheapest now, and ask whether to switch to it."""
@@ -268,12 +268,6 @@ class StreamsPanel(Panel):
             self._begin_question()
             self._show_way(claim)
 
-    def _show_present_way(self) -> None:
-        self._show_way(self._explained)
-
-    def _complete_tag(self, text: str) -> None:
-        self._offered.setStringList(tag_completions(text, self._tags))
-
     def _show_event(self, event: StreamEvent) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
@@ -311,8 +305,10 @@ class StreamsPanel(Panel):
         self.plan.picked.connect(self._selection.choose_nodelets)
         self.tag.textEdited.connect(self._forget_plan)
         self.tag.textEdited.connect(self._begin_question)
-        self._monitor.changed.connect(self._show_present_way)
-        self.tag.textEdited.connect(self._complete_tag)
+        self._monitor.changed.connect(lambda: self._show_way(self._explained))
+        self.tag.textEdited.connect(
+            lambda text: self._offered.setStringList(tag_completions(text, self._tags))
+        )
         self._selection.changed.connect(self._follow)
         self.table.on_delete(self._release)
         self._monitor.streams_changed.connect(self._show_streams)

@@ -27,7 +27,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.graph.changes import Change
 from dyknow_rqt.graph.ways import Way
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
@@ -40,11 +39,6 @@ class Panel(QWidget):
     def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
         super().__init__()
         self._monitor, self._line = monitor, line
-
-    def _do_in_turn(self, changes: Sequence[Change]) -> None:
-        """Make changes one after the other, up to the first that is refused."""
-        if changes:
-            self._monitor.do(changes[0], lambda: self._do_in_turn(changes[1:]))
 
 
 #: The number of rows that determine the width of columns.
