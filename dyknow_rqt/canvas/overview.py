@@ -53,9 +53,6 @@ _NARROW, _MARGIN = 90.0, 3.0
 _LONG = 600.0
 #: Pixels: the width of a line that stands for a ring.
 _RING = 2.2
-#: Pixels of line that are painted at a time, how many of them one with dashes is worth, and what
-#: each shape takes beside its line.
-_AT_A_TIME, _DASHED, _EACH = 8000.0, 15.0, 40.0
 #: Pixels of a picture.
 _MOST_PIXELS = 6e6
 
@@ -63,9 +60,8 @@ _MOST_PIXELS = 6e6
 class Overview:
     """A picture of the boxes, arrows and vertices in an area of the drawing, without names.
 
-    It is painted piece by piece, all things of one look together: one by one Python would be
-    called thousands of times for 500 nodelets. Until it is done the last picture is shown. Its
-    scale, in pixels per pixel of the drawing, is 0 before the first.
+    It is painted in steps; until it is done the last picture is shown. Its scale, in pixels per
+    pixel of the drawing, is 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -94,22 +90,13 @@ class Overview:
                 box.paint(painter, None)
                 yield
             for strokes in (_arrows(edges), _shapes(vertices)):
-                found: dict[_Look, list[QPainterPath]] = {}
-                room: dict[_Look, float] = {}
-                for look, path in strokes:
-                    across = path.controlPointRect()
-                    line = (across.width() + across.height()) * scale
-                    worth = _EACH + line * (1.0 if look[-1] == Qt.SolidLine else _DASHED)
-                    if room.get(look, 0.0) < worth:
-                        found.setdefault(look, []).append(QPainterPath())
-                        room[look] = _AT_A_TIME
-                    room[look] -= worth
-                    found[look][-1].addPath(path)
+                found = []
+                for stroke in strokes:
+                    found.append(stroke)
                     yield
-                for look, pieces in sorted(found.items()):
-                    for path in pieces:
-                        _stroke(painter, look, path, scale)
-                        yield
+                for look, path in sorted(found, key=lambda stroke: stroke[0]):
+                    _stroke(painter, look, path, scale)
+                    yield
         finally:
             painter.end()
         self._picture, self.area, self.scale = picture, area, scale
