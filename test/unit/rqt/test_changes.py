@@ -185,24 +185,19 @@ def test_what_others_changed_is_not_taken_back(remote):
 MODE, SLOW = (Parameter("mode", "string", text) for text in ("fast", "slow"))
 
 
+X = SpawnRequest("tracker", "/x")
+
+
 @pytest.mark.parametrize(
     ("change", "other", "why"),
     [
-        (spawn(SpawnRequest("tracker", "/x")), lambda c: c.destroy("/x"), "/x is gone"),
+        (spawn(X), lambda c: c.destroy("/x"), "/x is gone"),
+        (spawn(X), lambda c: (c.destroy("/x"), c.spawn("resize", "/x", {})), "/x from resize"),
+        (spawn(X), lambda c: c.set_protection("/x", True), "client has protected /x"),
         (
-            spawn(SpawnRequest("tracker", "/x")),
-            lambda c: (c.destroy("/x"), c.spawn("resize", "/x", {})),
-            "another client has made /x from resize",
-        ),
-        (
-            spawn(SpawnRequest("tracker", "/x")),
+            load_wiring(Wiring(nodelets=(X,))),
             lambda c: c.set_protection("/x", True),
-            "another client has protected /x",
-        ),
-        (
-            load_wiring(Wiring(nodelets=(SpawnRequest("tracker", "/x"),))),
-            lambda c: c.set_protection("/x", True),
-            "another client has protected /x",
+            "client has protected /x",
         ),
         (
             isolate(["/nao1/resize", "/field/tracker"], True),

@@ -328,9 +328,10 @@ def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remot
     for palette in (QPalette(), dark_palette()):
         window.setPalette(palette)
         assert corner_of(sign) == colours_of(palette).alarm
-        item = window.graph.view.scene().vertices["n_/nao1/resize"]
-        drawn = item.colours
-        assert item.ports["image"].colours == drawn and drawn.paper == palette.color(QPalette.Base)
+        scene = window.graph.view.scene()
+        drawn = scene.vertices["n_/nao1/resize"].colours
+        assert scene.vertices["n_/nao1/resize"].ports["image"].colours == drawn
+        assert scene.backgroundBrush().color() == drawn.paper == palette.color(QPalette.Base)
         background = window.palette().color(QPalette.Window)
         for text, ground in (
             (sign.palette().color(QPalette.WindowText), corner_of(sign)),
