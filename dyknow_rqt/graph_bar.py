@@ -106,13 +106,10 @@ class GraphBar(QWidget):
         self.timeline.setCheckable(True)
         self.refresh = self._add("Refres&h", "view-refresh", "Read everything now", "F5", "Ctrl+R")
         #: Not in the bar: these have keys, and are in the menu of the background.
-        self.find, self.find_next = QAction("&Find …", self), QAction("Find &next", self)
-        self.keys = QAction("&Keys …", self)
-        _give_keys(self.find, "Ctrl+F")
-        _give_keys(self.find_next, "F3")
-        self.next_ill = QAction("Next that is not &well", self)
-        _give_keys(self.keys, "Shift+?", "?", "F1")
-        _give_keys(self.next_ill, "F8")
+        self.find = _with_keys(QAction("&Find …", self), "Ctrl+F")
+        self.find_next = _with_keys(QAction("Find &next", self), "F3")
+        self.keys = _with_keys(QAction("&Keys …", self), "Shift+?", "?", "F1")
+        self.next_ill = _with_keys(QAction("Next that is not &well", self), "F8")
         self.search = field_of("find (Ctrl+F)", name="Find")
         self.search.setClearButtonEnabled(True)
         self.search.setFixedWidth(130)
@@ -211,8 +208,7 @@ class GraphBar(QWidget):
         """Add a button with a name; it takes the focus as other buttons do."""
         action = self._icons[icon] = self.tools.addAction(text)
         action.setIconText(text)  # with its letter
-        _give_keys(action, *keys)
-        _explain(action, tip)
+        _explain(_with_keys(action, *keys), tip)
         button = self.tools.widgetForAction(action)
         button.setFocusPolicy(Qt.TabFocus)
         button.setPopupMode(QToolButton.InstantPopup)
@@ -266,10 +262,11 @@ class GraphBar(QWidget):
         self._typing.start()
 
 
-def _give_keys(action: QAction, *keys: str) -> None:
+def _with_keys(action: QAction, *keys: str) -> QAction:
     """Let keys trigger an action from anywhere in the window."""
     action.setShortcuts([QKeySequence(key) for key in keys])
     action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+    return action
 
 
 def _explain(action: QAction, tip: str) -> None:

@@ -215,7 +215,8 @@ class GraphPanel(QWidget):
             self._popup(menu_of_port(item.ref, snapshot, edits, self), place)
         elif item is None:
             spot = self.view.mapToScene(self.view.viewport().mapFromGlobal(place))
-            box, outer = self.view.scene().box_at(spot), self._figure.outer_groups
+            box = self.view.scene().box_at(spot)
+            outer = [group for group in self._figure.groups() if len(group) == 1]
             self._popup(menu_of_ground(edits, self.bar, box, outer), place)
         else:
             if not item.isSelected():
@@ -234,16 +235,15 @@ class GraphPanel(QWidget):
         """Take the selection that the user, not a change of the drawing, has selected in it."""
         if not (self._is_following or self.view.scene().slices.is_working):
             scene = self.view.scene()
-            items = (*scene.vertices.items(), *scene.edges.items())
-            self._selection.choose(key for key, item in items if item.isSelected())
+            chosen = [key for key, item in scene.things.items() if item.isSelected()]
+            self._selection.choose(chosen)
 
     def _follow_selection(self) -> None:
-        scene, keys = self.view.scene(), self._selection.keys
-        wanted = {scene.vertices.get(key) or scene.edges.get(key) for key in keys}
+        scene = self.view.scene()
+        wanted = {item for key, item in scene.things.items() if key in self._selection.keys}
         self._is_following = True
         for item in wanted.symmetric_difference(scene.selectedItems()):
-            if item is not None:
-                item.setSelected(item in wanted)
+            item.setSelected(item in wanted)
         self._is_following = False
 
     def _search(self) -> None:
@@ -263,9 +263,8 @@ class GraphPanel(QWidget):
 
     def reveal_selection(self) -> None:
         """Show where in the graph the selection is."""
-        scene = self.view.scene()
-        items = (*scene.vertices.items(), *scene.edges.items())
-        self.view.reveal(item for key, item in items if key in self._selection.keys)
+        things, keys = self.view.scene().things, self._selection.keys
+        self.view.reveal(item for key, item in things.items() if key in keys)
 
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on

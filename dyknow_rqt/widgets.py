@@ -181,6 +181,7 @@ class KeysDialog(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Keys")
+        self.setAttribute(Qt.WA_DeleteOnClose)
         form = QFormLayout(self)
         form.setHorizontalSpacing(24)
         for keys, what in KEYS:

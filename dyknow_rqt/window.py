@@ -168,7 +168,7 @@ class DyKnowWidget(QWidget):
         self.streams.planned.connect(self.graph.show_plan)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
-        self.graph.bar.keys.triggered.connect(self.show_keys)
+        self.graph.bar.keys.triggered.connect(lambda: KeysDialog(self).open())
         actions = self.graph.edits
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
@@ -216,11 +216,6 @@ class DyKnowWidget(QWidget):
             for role in (QPalette.Text, QPalette.WindowText, QPalette.ButtonText):
                 palette.setColor(role, muted)
         self.tabs.setPalette(palette)
-
-    def show_keys(self) -> None:
-        dialog = KeysDialog(self)
-        dialog.setAttribute(Qt.WA_DeleteOnClose)
-        dialog.open()
 
     def _begin_tab(self) -> None:
         if self.tabs.currentWidget() is self.streams:

@@ -93,7 +93,7 @@ class Marks(QObject):
     def apply(self) -> None:
         """Mark the items that are drawn now, and link nodelets with their replacements."""
         scene, shown = self._scene, self._shown
-        for item in (*scene.edges.values(), *scene.vertices.values(), *self.ghosts.values()):
+        for item in (*scene.things.values(), *self.ghosts.values()):
             item.change(mark=self.of(item))
         for name in [name for name in self.ghosts if name not in shown.went]:
             scene.removeItem(self.ghosts.pop(name))

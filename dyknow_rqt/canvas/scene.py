@@ -82,9 +82,9 @@ class GraphScene(QGraphicsScene):
         self.slices.close()
 
     @property
-    def is_labelled(self) -> bool:
-        """Whether all labels are where they belong."""
-        return not self.is_drawing and self.labels.are_placed
+    def things(self) -> dict[Any, EdgeItem | VertexItem]:
+        """Arrows and vertices by their keys."""
+        return {**self.edges, **self.vertices}
 
     def show_drawing(self, drawing: Drawing) -> None:
         """Draw something else in slices, then emit ``shown``.
@@ -126,7 +126,7 @@ class GraphScene(QGraphicsScene):
         self.labels.place()
         yield
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
-        is_drawn = self._highlighted in self.vertices or self._highlighted in self.edges
+        is_drawn = self._highlighted in self.things
         self.highlight(self._highlighted if is_drawn else None)
         self.marks.apply()
         self.is_drawing, self._marked = False, None
@@ -244,8 +244,7 @@ class GraphScene(QGraphicsScene):
     def paint_marked(self, painter: QPainter) -> None:
         """Paint the items that stand out on top of a picture."""
         if self._marked is None:
-            items = (*self.edges.values(), *self.vertices.values())
-            self._marked = [item for item in items if item.stands_out]
+            self._marked = [item for item in self.things.values() if item.stands_out]
         paint_marked(painter, self._marked)
 
     def look_again(self) -> None:
@@ -290,7 +289,7 @@ class GraphScene(QGraphicsScene):
         tones: dict[object, Tone] = {}
         if self.highlights and thing is not None:
             tones = tones_around(self.figure, thing)
-        for key, item in (*self.vertices.items(), *self.edges.items()):
+        for key, item in self.things.items():
             item.change(tone=tones.get(key, self._ghosts.get(key, Tone.NONE)))
         self.mark()
 

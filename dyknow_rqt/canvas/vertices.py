@@ -56,7 +56,7 @@ class VertexItem(Item):
         self._metrics = QFontMetricsF(font)
         self._height = height_of(font)
         self._cut_for, self._cut_text, self._cut_width = ("", 0.0, 0.0), "", 0.0
-        self._size = Size(0, 0)
+        self.size = Size(0, 0)
         self._is_downwards = False
         self._label = ""
         self.found = False
@@ -69,9 +69,9 @@ class VertexItem(Item):
 
     def set_vertex(self, vertex: Vertex, size: Size, is_downwards: bool = False) -> None:
         """Change its size and ports, which are at its sides, or above and below it."""
-        if (vertex, size, is_downwards) == (self.vertex, self._size, self._is_downwards):
+        if (vertex, size, is_downwards) == (self.vertex, self.size, self._is_downwards):
             return
-        self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
+        self.vertex, self.size, self._is_downwards = vertex, size, is_downwards
         self.shown = None  # its ports may have changed
         self._label = vertex.label
         self.setRect(self.area.adjusted(-5 - _BESIDE / 2, -5, 5 + _BESIDE / 2, 5))
@@ -87,10 +87,6 @@ class VertexItem(Item):
                     self.ports[name] = PortItem(PortRef(vertex.name, name), side, self._font, self)
                     self.ports[name].set_far(self.is_far)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
-
-    @property
-    def size(self) -> Size:
-        return self._size
 
     def set_appearance(self, appearance: Appearance) -> None:
         if appearance != self.appearance:
@@ -121,13 +117,13 @@ class VertexItem(Item):
         if port in self.ports:
             return self.pos() + self.ports[port].pos()
         side = 0.5 if leaving else -0.5
-        width, height = self._size
+        width, height = self.size
         off = QPointF(0, side * height) if self._is_downwards else QPointF(side * width, 0)
         return self.pos() + off
 
     @property
     def area(self) -> QRectF:
-        width, height = self._size
+        width, height = self.size
         return QRectF(-width / 2, -height / 2, width, height)
 
     @property
@@ -136,7 +132,7 @@ class VertexItem(Item):
         shares = [(1.0, 0.6), (0.8, 0.8), (0.6, 1.0)]  # around an ellipse
         if self.vertex.kind.is_square:
             shares = [(1.0, 1.0)]
-        width, height = self._size
+        width, height = self.size
         areas = [
             QRectF(-across * width / 2, -down * height / 2, across * width, down * height)
             for across, down in shares
@@ -224,7 +220,7 @@ class VertexItem(Item):
         return self._cut_text
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:
-        width, height = self._size
+        width, height = self.size
         share = 2 * (number + 1) / (count + 1) - 1
         off = math.sqrt(1 - share**2) * (-1 if side == IN else 1)
         if self._is_downwards:

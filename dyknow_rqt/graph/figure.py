@@ -148,11 +148,6 @@ class Figure:
         found = {v.group[:size] for v in self.vertices for size in range(1, len(v.group) + 1)}
         return sorted(found)
 
-    @property
-    def outer_groups(self) -> list[Group]:
-        """Boxes that are in no other."""
-        return [group for group in self.groups() if len(group) == 1]
-
     def neighbours(self) -> dict[str, set[str]]:
         """Keys of the vertices that each vertex has an arrow to or from."""
         found: dict[str, set[str]] = {vertex.key: set() for vertex in self.vertices}

@@ -62,11 +62,7 @@ def completions(text: str, names: Iterable[str]) -> list[str]:
     return [prefix + name for name in sorted(known) if name.startswith(stem) and name != stem]
 
 
-def _parts(text: str) -> Sequence[str]:
-    return [part.strip() for part in _split(text) if part.strip()]
-
-
-def _split(text: str) -> list[str]:
+def _parts(text: str) -> list[str]:
     """Split at commas that do not stand in brackets: ``/a{1,2}`` is one part."""
     parts, depth = [""], 0
     for character in text:
@@ -75,7 +71,7 @@ def _split(text: str) -> list[str]:
             parts.append("")
         else:
             parts[-1] += character
-    return parts
+    return [part.strip() for part in parts if part.strip()]
 
 
 def _matcher(part: str) -> Callable[[str], bool]:

@@ -106,12 +106,12 @@ def dropped_by(way: Way, found: Replanned, stream: StreamStatus, snapshot: Snaps
 
     Nodelets at the way's ends stay connected as they are, so that those behind them stay too.
     """
-    kept, members = set(found.reused), frozenset(stream.nodelets)
+    kept, running = set(found.reused), _Running(stream, snapshot)
     for part, following in zip(way, (*way[1:], way[0])):
         nodelet = snapshot.nodelet(part.nodelet)
         if nodelet is not None and following.depth <= part.depth:
-            kept.update(each.nodelet for each in _inputs(nodelet, 1, members, snapshot))
-    names = sorted(members - kept)
+            kept.update(each.nodelet for each in running.inputs(nodelet, 1))
+    names = sorted(set(stream.nodelets) - kept)
     parts = tuple(WayPart(1, "", name, f"dropped as {name}") for name in names)
     return (WayPart(0, "", "Used no longer"), *parts) if parts else ()
 
@@ -121,46 +121,37 @@ def present_way(stream: StreamStatus, snapshot: Snapshot) -> Way:
     words = [f"on {stream.topic}" if stream.topic else "", stream.state.name.lower()]
     state = ", ".join(filter(None, words)) + (f": {stream.detail}" if stream.detail else "")
     whole = WayPart(0, "", stream.tag, state, bindings=" ".join(stream.bindings))
-    members = frozenset(stream.nodelets)
-    return (whole, *_parts(stream.topic, "", 1, members, snapshot, frozenset()))
+    return (whole, *_Running(stream, snapshot).sources(stream.topic, "", 1))
 
 
-def _parts(
-    topic: str,
-    port: str,
-    depth: int,
-    members: frozenset[str],
-    snapshot: Snapshot,
-    seen: frozenset[str],
-) -> Iterator[WayPart]:
-    found = snapshot.topics().get(topic)
-    for ref in found.sources if found is not None else ():
-        nodelet = snapshot.nodelet(ref.nodelet)
-        if nodelet is None or ref.nodelet not in members:
-            continue
-        verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
-        given = (f"{each.name}={each.text}" for each in nodelet.parameters)
-        yield WayPart(
-            depth,
-            port,
-            f"{nodelet.transformation}.{ref.port}",
-            f"{verb} as {ref.nodelet}",
-            bindings=" ".join(each for each in given if each.startswith("?")),
-        )
-        yield from _inputs(nodelet, depth + 1, members, snapshot, seen | {topic})
+class _Running:
+    """The nodelets of a claim: those behind a topic or a nodelet, each topic followed once."""
 
+    def __init__(self, stream: StreamStatus, snapshot: Snapshot) -> None:
+        self._members, self._snapshot = stream.nodelets, snapshot
 
-def _inputs(
-    nodelet: NodeletStatus,
-    depth: int,
-    members: frozenset[str],
-    snapshot: Snapshot,
-    seen: frozenset[str] = frozenset(),
-) -> Iterator[WayPart]:
-    for each in nodelet.ports:
-        if each.direction == IN and each.topic and each.topic not in seen:
-            before = seen | {each.topic}
-            yield from _parts(each.topic, each.name, depth, members, snapshot, before)
+    def sources(
+        self, topic: str, port: str, depth: int, seen: frozenset[str] = frozenset()
+    ) -> Iterator[WayPart]:
+        """Those that publish a topic, which feeds a port, with all behind them."""
+        found = self._snapshot.topics().get(topic)
+        for ref in found.sources if found is not None else ():
+            nodelet = self._snapshot.nodelet(ref.nodelet)
+            if nodelet is None or ref.nodelet not in self._members:
+                continue
+            verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
+            given = (f"{each.name}={each.text}" for each in nodelet.parameters)
+            what, how = f"{nodelet.transformation}.{ref.port}", f"{verb} as {ref.nodelet}"
+            bindings = " ".join(each for each in given if each.startswith("?"))
+            yield WayPart(depth, port, what, how, bindings=bindings)
+            yield from self.inputs(nodelet, depth + 1, seen | {topic})
+
+    def inputs(
+        self, nodelet: NodeletStatus, depth: int, seen: frozenset[str] = frozenset()
+    ) -> Iterator[WayPart]:
+        for each in nodelet.ports:
+            if each.direction == IN and each.topic and each.topic not in seen:
+                yield from self.sources(each.topic, each.name, depth, seen | {each.topic})
 
 
 def _part_of(entry: Entry) -> WayPart:
