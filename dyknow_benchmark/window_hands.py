@@ -140,7 +140,7 @@ def _is_whole(window: DyKnowWidget, count: int) -> bool:
         len(nodelets) == count
         and all(each.state is State.RUNNING for each in nodelets)
         and all(f"n_{each.name}" in vertices for each in nodelets)
-        and all(vertices[f"n_{each.name}"].appearance.state is each.state for each in nodelets)
+        and all(vertices[f"n_{each.name}"].state is each.state for each in nodelets)
     )
 
 

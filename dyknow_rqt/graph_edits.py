@@ -187,5 +187,4 @@ class GraphEdits(QObject):
     def show_parameters(self, name: str) -> None:
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:
-            transformation = self._monitor.library.get(nodelet.transformation)
-            ParametersDialog(self._monitor, nodelet, transformation, self._window).open()
+            ParametersDialog(self._monitor, nodelet, self._window).open()

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
 from dyknow.formulas import Truth
-from dyknow.model.graph import State
 from dyknow_rqt.graph.figure import Edge, Figure
 from dyknow_rqt.graph.geometry import Size
 
@@ -140,14 +139,6 @@ LEAST_TEXT = 9.0
 ROOM = 1.4
 #: Stands for all usual numbers, so that the room for one does not depend on its value.
 NUMBER = "000"
-
-
-class Appearance(NamedTuple):
-    """The text of a vertex besides its name."""
-
-    state: State = State.RUNNING
-    is_protected: bool = False
-    is_cpp: bool = False
 
 
 def sizes_of(figure: Figure, font: QFont) -> dict[str, Size]:

@@ -9,7 +9,6 @@ from typing import Mapping
 
 from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
@@ -37,7 +36,7 @@ class Facts:
         if nodelet is None or item.vertex.kind is not VertexKind.NODELET:
             is_dead = item.vertex.key in self._dead
             item.shown = None
-            item.set_appearance(Appearance(State.LOST if is_dead else State.RUNNING))
+            item.set_state(State.LOST if is_dead else State.RUNNING)
             return
         item.set_strain(self.strains.get(nodelet.name, Strain()))
         for port in item.ports.values():
@@ -46,7 +45,7 @@ class Facts:
             return
         item.shown = nodelet
         is_cpp = not nodelet.kind.is_written_for_dyknow
-        item.set_appearance(Appearance(nodelet.state, nodelet.is_protected, is_cpp))
+        item.set_state(nodelet.state, nodelet.is_protected, is_cpp)
         connected = {port.name for port in nodelet.ports if port.topic}
         for port in item.ports.values():
             port.change(is_connected=port.ref.port in connected)

@@ -32,7 +32,6 @@ from python_qt_binding.QtWidgets import QWidget
 
 from dyknow_rqt.canvas.appearance import Colours
 from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.items import BoxItem
 from dyknow_rqt.canvas.vertices import VertexItem
 
 if TYPE_CHECKING:
@@ -69,19 +68,13 @@ class Overview:
         self.scale = 0.0
         self._picture = QImage()
 
-    def painted(
-        self,
-        area: QRectF,
-        scale: float,
-        paper: QColor,
-        boxes: Iterable[BoxItem],
-        edges: Iterable[EdgeItem],
-        vertices: Iterable[VertexItem],
-    ) -> Iterator[None]:
+    def painted(self, scene: GraphScene, area: QRectF, scale: float) -> Iterator[None]:
         """Paint another picture, a step at a time; of a large area a coarse one."""
+        boxes = sorted(scene.boxes.values(), key=lambda box: box.zValue())
+        edges, vertices = list(scene.edges.values()), list(scene.vertices.values())
         scale = min(scale, (_MOST_PIXELS / (area.width() * area.height())) ** 0.5)
         picture = QImage((area.size() * scale).toSize(), QImage.Format_RGB32)
-        picture.fill(paper)
+        picture.fill(scene.colours.paper)
         painter = QPainter(picture)
         painter.scale(scale, scale)
         painter.translate(-area.topLeft())
@@ -276,7 +269,7 @@ class Minimap(QWidget):
         area = self._scene.drawing_area()
         if not area.isEmpty():
             scale = self._frame()[1] * self.devicePixelRatioF()
-            yield from self._scene.overview_of(self._overview, area, scale)
+            yield from self._overview.painted(self._scene, area, scale)
             self.update()
 
     def _frame(self) -> tuple[QPointF, float]:

@@ -213,13 +213,8 @@ class GraphScene(QGraphicsScene):
         across, down = seen.width() / 2, seen.height() / 2
         area = seen.adjusted(-across, -down, across, down) & self.drawing_area()
         if self.is_far and not area.isEmpty():
-            yield from self.overview_of(self.overview, area, self.zoom)
+            yield from self.overview.painted(self, area, self.zoom)
             self.update()
-
-    def overview_of(self, overview: Overview, area: QRectF, scale: float) -> Iterator[None]:
-        boxes = sorted(self.boxes.values(), key=lambda box: box.zValue())
-        edges, vertices = list(self.edges.values()), list(self.vertices.values())
-        yield from overview.painted(area, scale, self.colours.paper, boxes, edges, vertices)
 
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
         """Paint the things that are not painted by items."""

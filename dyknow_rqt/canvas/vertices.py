@@ -22,7 +22,7 @@ from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN, OUT
-from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, height_of
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
@@ -50,7 +50,8 @@ class VertexItem(Item):
     def __init__(self, vertex: Vertex, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.vertex, self.key = vertex, vertex.key
-        self.appearance = Appearance()
+        self.state = State.RUNNING
+        self.is_protected = self.is_cpp = False
         self.ports: dict[str, PortItem] = {}
         self._font = font
         self._metrics = QFontMetricsF(font)
@@ -88,9 +89,10 @@ class VertexItem(Item):
                     self.ports[name].set_far(self.is_far)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
-    def set_appearance(self, appearance: Appearance) -> None:
-        if appearance != self.appearance:
-            self.appearance = appearance
+    def set_state(self, state: State, is_protected: bool = False, is_cpp: bool = False) -> None:
+        looks = state, is_protected, is_cpp
+        if looks != (self.state, self.is_protected, self.is_cpp):
+            self.state, self.is_protected, self.is_cpp = looks
             self.look_again()
 
     def set_strain(self, strain: Strain) -> None:
@@ -174,7 +176,7 @@ class VertexItem(Item):
                 painter.drawRect(area)
         else:
             painter.drawEllipse(area)
-            if self.appearance.is_protected:
+            if self.is_protected:
                 painter.setBrush(Qt.NoBrush)
                 painter.drawEllipse(area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
@@ -242,16 +244,16 @@ class VertexItem(Item):
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
         if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
-        if self.appearance.state is State.FAILED:
+        if self.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.appearance.state is State.LOST or self.vertex.kind in _DASHED:
+        elif self.state is State.LOST or self.vertex.kind in _DASHED:
             colour, style = self.colours.muted, Qt.DashLine
-        elif self.appearance.state is State.STARTING:
+        elif self.state is State.STARTING:
             style = Qt.DotLine
         return QPen(colour, width, style)
 
     def fill(self) -> QColor:
-        if self.appearance.state not in (State.RUNNING, State.STARTING):
+        if self.state not in (State.RUNNING, State.STARTING):
             return self.colours.paper
         if self.tone is Tone.KEPT:
             return self.colours.kept
@@ -263,9 +265,9 @@ class VertexItem(Item):
     def _text_colour(self) -> Any:
         if self.tone is not Tone.NONE:
             return self.colours.of(self.tone)
-        if self.appearance.state is State.FAILED:
+        if self.state is State.FAILED:
             return self.colours.alarm
-        quiet = self.vertex.kind is VertexKind.NODE or self.appearance.state is State.LOST
+        quiet = self.vertex.kind is VertexKind.NODE or self.state is State.LOST
         return self.colours.muted if quiet else self.colours.text
 
     def _badge(self) -> str:
@@ -274,9 +276,9 @@ class VertexItem(Item):
         words = [
             word
             for word, holds in (
-                ("C++", self.appearance.is_cpp),
-                ("protected", self.appearance.is_protected),
-                (self.appearance.state.name.lower(), self.appearance.state is not State.RUNNING),
+                ("C++", self.is_cpp),
+                ("protected", self.is_protected),
+                (self.state.name.lower(), self.state is not State.RUNNING),
             )
             if holds
         ]
@@ -286,7 +288,7 @@ class VertexItem(Item):
         font = QFont(self._font)
         font.setPointSizeF(self._font.pointSizeF() * _BADGE)
         painter.setFont(font)
-        alarm = self.appearance.state is State.FAILED
+        alarm = self.state is State.FAILED
         painter.setPen(self.colours.alarm if alarm else self.colours.muted)
         lines = self._label.count("\n") + 1
         top = self._metrics.height() * lines / 2 - 5

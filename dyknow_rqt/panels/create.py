@@ -208,13 +208,7 @@ class CreatePanel(Panel):
 class ParametersDialog(QDialog):
     """Edits the parameters of a spawn, and those of the transformation."""
 
-    def __init__(
-        self,
-        monitor: GraphMonitor,
-        nodelet: NodeletStatus,
-        transformation: Transformation | None,
-        parent: QWidget,
-    ) -> None:
+    def __init__(self, monitor: GraphMonitor, nodelet: NodeletStatus, parent: QWidget) -> None:
         super().__init__(parent)
         self.setAttribute(Qt.WA_DeleteOnClose)
         self.setWindowTitle(f"Parameters of {nodelet.name}")
@@ -222,6 +216,7 @@ class ParametersDialog(QDialog):
         given = {each.name: each for each in nodelet.parameters}
         bound = {name: each.text for name, each in given.items()}
         self._before: dict[str, Parameter] = {}
+        transformation = monitor.library.get(nodelet.transformation)
         for each in transformation.parameters if transformation is not None else ():
             with contextlib.suppress(KeyError, ValueError):  # it has been replaced since
                 each = each._replace(text=fill(each.text, bound))
