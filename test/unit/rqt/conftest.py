@@ -36,3 +36,13 @@ def window(qtbot, remote):
     until(qtbot, lambda: is_ready(widget))
     until(qtbot, lambda: is_settled(widget))
     return widget
+
+
+@pytest.fixture
+def view(window):
+    return window.graph.view
+
+
+@pytest.fixture
+def scene(view):
+    return view.scene()

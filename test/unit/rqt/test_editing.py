@@ -66,9 +66,8 @@ def flowing(request, qtbot, window):
     return window
 
 
-def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, remote):
+def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, remote, scene):
     window, view = flowing, flowing.graph.view
-    scene = view.scene()
     others = {key: place_of(window, key) for key in scene.vertices if key != MOVED}
     start = centre_of(view, MOVED)
     end = start + QPoint(30, 60)
@@ -127,8 +126,7 @@ def test_places_are_kept_with_the_settings_until_the_graph_is_tidied(qtbot, wind
     assert another.state()["places"] == ""
 
 
-def test_a_rubber_band_selects_what_is_moved_together(qtbot, window):
-    view = window.graph.view
+def test_a_rubber_band_selects_what_is_moved_together(window, view):
     scene, port = view.scene(), view.viewport()
     ends = [scene.vertices[key].sceneBoundingRect() for key in (MOVED, "n_/nao1/recorder")]
     whole = view.mapFromScene(ends[0].united(ends[1])).boundingRect()
@@ -178,8 +176,7 @@ def test_places_belong_to_a_wiring_and_are_taken_over_by_the_next():
 # Wires
 
 
-def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, window, remote):
-    view = window.graph.view
+def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, window, remote, view):
     ground = QPoint(300, view.viewport().height() - 60)
     place = view.mapToScene(ground)
     drag(view, view.place_of(CEILING), ground)
@@ -264,8 +261,7 @@ def test_spliced_before_a_topic_all_its_receivers_follow(qtbot, window, remote):
     assert source == topic(remote, ends[0]) != YUV and topic(remote, RESIZE) == YUV
 
 
-def test_a_wire_that_does_not_fit_an_arrow_says_why(qtbot, window, remote):
-    view = window.graph.view
+def test_a_wire_that_does_not_fit_an_arrow_says_why(qtbot, window, remote, view):
     drag(view, view.place_of(CEILING), middle_of(view, MOVED, f"t_{YUV}"))
     assert f"but {YUV} carries sensor_msgs/Image" in window.line.text
     drag(view, view.place_of(TRACKER), middle_of(view, "n_/field/tracker", "t_/field/ball"))

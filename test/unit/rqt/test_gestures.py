@@ -31,8 +31,7 @@ from dyknow_rqt import background_calls
 from dyknow_rqt.graph.figure import VertexKind
 
 
-def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window, remote):
-    view = window.graph.view
+def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window, remote, view):
     drag(view, view.place_of(CEILING), view.place_of(TRACKER))
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
     until(qtbot, window.graph.bar.undo.isEnabled)
@@ -44,8 +43,7 @@ def test_a_drag_from_port_to_port_connects_and_undo_takes_it_back(qtbot, window,
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ceiling_camera/field_position")
 
 
-def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
-    view = window.graph.view
+def test_while_a_connection_is_drawn_only_what_fits_is_offered(view):
     view.drag_began.emit(CEILING)
     offered = {
         port.ref
@@ -56,8 +54,7 @@ def test_while_a_connection_is_drawn_only_what_fits_is_offered(window):
     assert offered == {CEILING, TRACKER, PortRef("/nao1/localization", "objects")}
 
 
-def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote):
-    view = window.graph.view
+def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote, view):
     lines = view.wire.text
     qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
     assert lines() == "geometry_msgs/PointStamped"
@@ -106,8 +103,9 @@ def test_an_arrow_of_an_ordinary_node_is_not_disconnected(qtbot, window, remote,
     assert wiring_of(remote.graph().nodelets) == before and not caplog.records
 
 
-def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, window, remote):
-    scene = window.graph.view.scene()
+def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(
+    qtbot, window, remote, scene
+):
     arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
     scene.edges[arrow].setSelected(True)
     qtbot.keyClick(window.graph.view, Qt.Key_Delete)
@@ -126,8 +124,7 @@ def test_delete_disconnects_arrows_and_destroys_nodelets_after_asking(qtbot, win
     until(qtbot, lambda: topic(remote, TRACKER) == "/field/ball")
 
 
-def test_context_menus_offer_what_can_be_done(qtbot, window, remote):
-    view = window.graph.view
+def test_context_menus_offer_what_can_be_done(qtbot, window, remote, view):
     entries = context_menu(qtbot, window, view.scene().vertices["n_/nao1/bottom_camera"])
     assert not entries["D&estroy …"].isEnabled()
     entries["&Release from protection"].trigger()
@@ -222,9 +219,8 @@ def test_the_table_and_the_graph_select_the_same(qtbot, window):
 
 
 def test_what_is_selected_between_two_slices_of_a_drawing_stays_selected(
-    qtbot, window, monkeypatch
+    qtbot, window, monkeypatch, scene
 ):
-    scene = window.graph.view.scene()
     monkeypatch.setattr(background_calls, "SLICE", -1.0)  # each step is one
     scene.show_drawing(scene._drawing)
     while not scene.is_drawing:
@@ -236,8 +232,7 @@ def test_what_is_selected_between_two_slices_of_a_drawing_stays_selected(
     assert window.selection.nodelets == ["/field/tracker"]
 
 
-def test_what_is_hidden_stays_selected_in_the_table_and_an_arrow_does_not(qtbot, window):
-    scene = window.graph.view.scene()
+def test_what_is_hidden_stays_selected_in_the_table_and_an_arrow_does_not(qtbot, window, scene):
     arrow = next(e for e in scene.edges if e.head == "n_/field/tracker")
     window.selection.choose({"n_/field/tracker", "t_/field/ball", arrow})
     assert drawn_selection(window) == {"n_/field/tracker", "t_/field/ball", arrow}
@@ -327,10 +322,7 @@ def test_the_nodelets_of_a_stream_are_those_after_a_repair(qtbot, window, remote
     assert window.selection.nodelets == ["/nao1/resize"]
 
 
-def test_highlights_go_with_what_was_highlighted(qtbot, window, remote):
-    view = window.graph.view
-    scene = view.scene()
-
+def test_highlights_go_with_what_was_highlighted(qtbot, window, remote, view, scene):
     def tones():
         items = (*scene.vertices.values(), *scene.edges.values())
         return {item.tone.value for item in items} - {"none"}

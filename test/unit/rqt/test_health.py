@@ -161,8 +161,7 @@ def test_a_manager_that_is_gone_is_told_greyed_and_found_again(qtbot, window, re
     create(qtbot, window, "/field/second")
 
 
-def test_what_is_lost_looks_dead_with_its_topic_and_arrows(qtbot, window, remote):
-    scene = window.graph.view.scene()
+def test_what_is_lost_looks_dead_with_its_topic_and_arrows(qtbot, remote, scene):
     lost, topic = "/nao1/subsampler", scene.vertices["t_/nao1/subsampler/hsv"]
     dead = [e for e in scene.edges if topic.vertex.key in e or f"n_{lost}" in e]
     after = next(e for e in dead if e.tail == topic.vertex.key)
@@ -321,14 +320,13 @@ def test_changes_that_wait_for_a_manager_that_falls_silent_are_refused(qtbot, wi
     assert not remote.graph().nodelet("/field/tracker").is_protected
 
 
-def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote):
+def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remote, scene):
     remote.client.is_up = False
     sign, contact = window.graph.sign, window.line.contact
     until(qtbot, sign.isVisible)
     for palette in (QPalette(), dark_palette()):
         window.setPalette(palette)
         assert corner_of(sign) == colours_of(palette).alarm
-        scene = window.graph.view.scene()
         drawn = scene.vertices["n_/nao1/resize"].colours
         assert scene.vertices["n_/nao1/resize"].ports["image"].colours == drawn
         assert scene.backgroundBrush().color() == drawn.paper == palette.color(QPalette.Base)

@@ -113,8 +113,7 @@ def test_after_a_question_the_focus_is_where_it_was(qtbot, window):
         assert window.active.table.hasFocus()
 
 
-def test_escape_dismisses_an_error_but_first_ends_a_connection(qtbot, window, remote):
-    view = window.graph.view
+def test_escape_dismisses_an_error_but_first_ends_a_connection(qtbot, window, remote, view):
     window.line.report("wrong")
     qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
     assert view.wire.isVisible()

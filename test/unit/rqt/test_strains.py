@@ -25,11 +25,6 @@ WIDTHS = ((None, 1.1), (0.0, 1.1), (1e6, 1.1), (5e6, 2.1), (20e6, 3.1), (100e6, 
 
 
 @pytest.fixture
-def scene(window):
-    return window.graph.view.scene()
-
-
-@pytest.fixture
 def arrow(scene):
     return next(item for edge, item in scene.edges.items() if edge.tail == f"n_{CAMERA}")
 
@@ -109,9 +104,8 @@ def test_the_counts_of_the_manager_reach_the_drawing(window, scene, remote, qtbo
     assert "s old" in arrow.label
 
 
-def test_rings_are_painted_around_what_is_busy_or_fails(qtbot, window, scene, remote):
+def test_rings_are_painted_around_what_is_busy_or_fails(qtbot, scene, remote, view):
     item = scene.vertices[f"n_{CAMERA}"]
-    view = window.graph.view
     view.select(item)
     scene.clearSelection()
 
