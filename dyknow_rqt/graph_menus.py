@@ -7,16 +7,7 @@ from __future__ import annotations
 
 import shutil
 from functools import partial
-from typing import (
-    Any,
-    Callable,
-    Collection,
-    Iterable,
-    Iterator,
-    NamedTuple,
-    Sequence,
-    Sized,
-)
+from typing import Any, Callable, Collection, Iterable, Iterator, NamedTuple, Sequence, Sized
 
 from python_qt_binding.QtCore import QProcess
 from python_qt_binding.QtGui import QGuiApplication

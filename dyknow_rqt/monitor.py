@@ -13,14 +13,7 @@ import logging
 import time
 from collections import deque
 from dataclasses import replace
-from typing import (
-    Any,
-    Callable,
-    FrozenSet,
-    Sequence,
-    Tuple,
-    TypeVar,
-)
+from typing import Any, Callable, FrozenSet, Sequence, Tuple, TypeVar
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 

@@ -5,14 +5,7 @@
 
 from __future__ import annotations
 
-from typing import (
-    Any,
-    Callable,
-    Iterator,
-    Mapping,
-    Sequence,
-    TypeVar,
-)
+from typing import Any, Callable, Iterator, Mapping, Sequence, TypeVar
 
 from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, Signal
 from python_qt_binding.QtGui import QFont, QPainter, QPalette

@@ -9,14 +9,7 @@ import enum
 import os
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import (
-    AbstractSet,
-    Iterable,
-    Iterator,
-    Mapping,
-    NamedTuple,
-    Tuple,
-)
+from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple, Tuple
 
 from dyknow.model.graph import NodeletStatus, PortRef
 from dyknow.model.transformation import IN

@@ -8,14 +8,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import (
-    AbstractSet,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-    Tuple,
-)
+from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from dyknow import names
 from dyknow.model.graph import NodeletStatus, PortRef, PortState

@@ -166,9 +166,7 @@ class StreamsPanel(Panel):
             )
 
     def _add_next_ways(
-        self,
-        plan: Callable[[BaseManagerClient, str], Acquisition | Replanned],
-        *shown: Way,
+        self, plan: Callable[[BaseManagerClient, str], Acquisition | Replanned], *shown: Way
     ) -> None:
         """Add the next best ways to the shown ones, if these are still shown."""
 
