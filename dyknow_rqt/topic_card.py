@@ -11,28 +11,13 @@ from collections import deque
 from typing import Any, Callable, Sequence
 
 from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
-from python_qt_binding.QtGui import (
-    QFontMetrics,
-    QImage,
-    QPainter,
-    QPalette,
-    QPen,
-    QPixmap,
-    QPolygonF,
-)
-from python_qt_binding.QtWidgets import (
-    QComboBox,
-    QGraphicsView,
-    QLabel,
-    QMenu,
-    QToolButton,
-    QWidget,
-)
+from python_qt_binding.QtGui import QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
+from python_qt_binding.QtWidgets import QComboBox, QLabel, QMenu, QToolButton, QWidget
 
 from dyknow.model.graph import PortRef, State
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.canvas.view import topic_of
+from dyknow_rqt.canvas.view import GraphView, topic_of
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
 from dyknow_rqt.graph_menus import VIEWERS, add_viewers
 from dyknow_rqt.monitor import GraphMonitor
@@ -74,7 +59,7 @@ class Curve(QWidget):
             return
         values = [value for _, value in self.points]
         low, high = min(values), max(values)
-        metrics, end = QFontMetrics(self.font()), self.points[-1][0]
+        metrics, end = self.fontMetrics(), self.points[-1][0]
         words = [f"{high:.4g}", f"{low:.4g}"]
         margin = max(metrics.horizontalAdvance(word) for word in words) + 4
         room = QRect(2, 4, self.width() - margin - 6, self.height() - 8)
@@ -94,7 +79,7 @@ class Curve(QWidget):
 class TopicCard(QWidget):
     """A card in a corner of the view; ``show_topic`` opens it, ``dismiss`` closes it."""
 
-    def __init__(self, monitor: GraphMonitor, view: QGraphicsView) -> None:
+    def __init__(self, monitor: GraphMonitor, view: GraphView) -> None:
         super().__init__(view)
         self.topic = ""
         self._monitor, self._view = monitor, view

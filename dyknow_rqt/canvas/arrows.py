@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Callable, Mapping, Match, Sequence
 
 from python_qt_binding.QtCore import QObject, QPointF, QRectF, Qt, QTimer
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
@@ -180,7 +179,7 @@ class EdgeItem(Item):
         painter.setPen(stroke)
         painter.setBrush(Qt.NoBrush)
         painter.drawPath(self.path)
-        painter.setBrush(QBrush(stroke.color()))
+        painter.setBrush(stroke.color())
         painter.setPen(Qt.NoPen)
         painter.drawPolygon(self._head(_ARROW + 2 * (self.breadth - _THIN)))
         least = LEAST_TEXT / (self._height * painter.worldTransform().m11())

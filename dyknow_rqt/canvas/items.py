@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
@@ -151,7 +150,7 @@ class BoxItem(Item):
 
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         painter.setPen(QPen(self.colours.box_line, 1))
-        painter.setBrush(QBrush(self.colours.box))
+        painter.setBrush(self.colours.box)
         painter.drawRect(self.area)
 
 
@@ -196,7 +195,7 @@ class PortItem(Item):
         radius = PORT_RADIUS + (2 if large else 0)
         colour = self.colours.chosen if large else self.colours.of_truth(self.truth)
         painter.setPen(QPen(colour, 1.2))
-        painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
+        painter.setBrush(colour if self.is_connected or large else self.colours.paper)
         if self.truth is Truth.FALSE:
             painter.drawRect(QRectF(-radius, -radius, 2 * radius, 2 * radius))
         else:

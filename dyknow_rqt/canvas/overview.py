@@ -7,19 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Iterable, Iterator, Tuple
 
-from python_qt_binding.QtCore import (
-    QPoint,
-    QPointF,
-    QRect,
-    QRectF,
-    QSize,
-    QSizeF,
-    Qt,
-    QTimer,
-    Signal,
-)
+from python_qt_binding.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt, QTimer, Signal
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
@@ -173,7 +162,7 @@ def _stroke(painter: QPainter, look: _Look, path: QPainterPath, scale: float) ->
     pen = QPen(QColor.fromRgba(colour), width, Qt.PenStyle(style))
     pen.setCosmetic(True)  # as wide as it is in the drawing at full size
     painter.setPen(pen)
-    painter.setBrush(QBrush(QColor.fromRgba(fill)) if fill else Qt.NoBrush)
+    painter.setBrush(QColor.fromRgba(fill) if fill else Qt.NoBrush)
     painter.setRenderHint(QPainter.Antialiasing, not fill or scale > _DOTS)
     painter.drawPath(path)
 
@@ -198,7 +187,7 @@ def _look(pen: QPen, fill: int = 0) -> _Look:
 
 
 #: Pixels: its largest size, and its distance from the edges of the view.
-_LARGEST, _OFF_EDGE = QSizeF(180, 130), 8
+_LARGEST, _OFF_EDGE = (180, 130), 8
 #: Milliseconds that the drawing may have changed before it shows.
 _LAG = 300
 
@@ -227,7 +216,7 @@ class Minimap(QWidget):
         self._seen, whole = seen, self._scene.drawing_area()
         is_useful = not whole.isEmpty() and not seen.contains(whole)
         if is_useful:
-            size = whole.size().scaled(_LARGEST, Qt.KeepAspectRatio).toSize()
+            size = whole.size().scaled(*_LARGEST, Qt.KeepAspectRatio).toSize()
             size = size.expandedTo(QSize(24, 24))
             corner = self.parentWidget().rect().bottomRight() - QPoint(_OFF_EDGE, _OFF_EDGE)
             self.setGeometry(QRect(corner - QPoint(size.width(), size.height()), size))

@@ -9,15 +9,7 @@ import math
 from typing import Any
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
-from python_qt_binding.QtGui import (
-    QBrush,
-    QColor,
-    QFont,
-    QFontMetricsF,
-    QPainter,
-    QPainterPath,
-    QPen,
-)
+from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.model.graph import NodeletStatus, PortRef, State
@@ -168,7 +160,7 @@ class VertexItem(Item):
                 wider = max(0.0, self._cut_width * larger * _AROUND - area.width()) / 2
                 area = area.adjusted(-wider, 0, wider, 0)
         painter.setPen(self.stroke())
-        painter.setBrush(QBrush(self.fill()))
+        painter.setBrush(self.fill())
         if self.vertex.kind.is_square:
             painter.drawRect(area)
             if self.vertex.kind is VertexKind.BOX:
