@@ -415,13 +415,9 @@ class GraphMonitor(QObject):
     def _tell_rates(self) -> None:
         """Tell the rates of connected ports of nodelets that run, if the manager answers."""
         nodelets = self.snapshot.nodelets if self.is_linked else ()
-        ports = [
-            (PortRef(each.name, port.name), port.topic)
-            for each in nodelets
-            for port in each.ports
-            if each.state is State.RUNNING
-        ]
-        self._meter.keep({ref: topic for ref, topic in ports if topic})
+        running = [each for each in nodelets if each.state is State.RUNNING]
+        ports = ((each.name, port) for each in running for port in each.ports if port.topic)
+        self._meter.keep({PortRef(name, port.name): port.topic for name, port in ports})
         self.measured.emit(self.traffic)
 
     def _follow_verdicts(self) -> None:

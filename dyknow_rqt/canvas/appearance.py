@@ -112,18 +112,9 @@ def colours_of(palette: QPalette) -> Colours:
 def greys_of(palette: QPalette) -> Colours:
     """The colours of a drawing that may no longer be true."""
     colours = colours_of(palette)
-    muted, line, paper = colours.muted, colours.box_line, colours.paper
-    return colours._replace(
-        line=line,
-        text=muted,
-        nodelet=paper,
-        topic=paper,
-        box=paper,
-        alarm=muted,
-        warning=muted,
-        true=muted,
-        false=muted,
-    )
+    papers = dict.fromkeys(("nodelet", "topic", "box"), colours.paper)
+    greys = dict.fromkeys(("text", "alarm", "warning", "true", "false"), colours.muted)
+    return colours._replace(line=colours.box_line, **papers, **greys)
 
 
 def _mix(one: QColor, other: QColor, share: float) -> QColor:

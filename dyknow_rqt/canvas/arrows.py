@@ -128,12 +128,8 @@ class EdgeItem(Item):
         shape, height = self.label_shape, self._metrics.height()
         width, breaks = self._width_of(shape), shape.count("\n")
         scales = (ROOM, _BETWEEN, 1.0, min(1.0, _SPARE * LEAST_TEXT / self._height))
-        return tuple(
-            Size(
-                scale * width, (scale * breaks + min(scale, 1.0)) * height
-            )  # a line has some room
-            for scale in scales
-        )
+        lines = [scale * breaks + min(scale, 1.0) for scale in scales]  # a line has some room
+        return tuple(Size(scale * width, n * height) for scale, n in zip(scales, lines))
 
     @property
     def label_scale(self) -> float:

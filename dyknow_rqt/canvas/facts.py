@@ -138,15 +138,6 @@ def _dead_keys(snapshot: Snapshot) -> frozenset[str]:
 
 def _tip_of_nodelet(nodelet: NodeletStatus) -> str:
     inputs = sum(port.direction == IN for port in nodelet.ports)
-    facts = [
-        word
-        for word, holds in (
-            ("protected", nodelet.is_protected),
-            ("in a process of its own", nodelet.isolated),
-            ("its topics are fixed", nodelet.is_fixed),
-        )
-        if holds
-    ]
     state = nodelet.state.name.lower()
     return _tip(
         nodelet.name,
@@ -155,7 +146,9 @@ def _tip_of_nodelet(nodelet: NodeletStatus) -> str:
         f"on {nodelet.host}" if nodelet.host else "",
         " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
         f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
-        *facts,
+        "protected" if nodelet.is_protected else "",
+        "in a process of its own" if nodelet.isolated else "",
+        "its topics are fixed" if nodelet.is_fixed else "",
         state + (f": {nodelet.detail}" if nodelet.detail else ""),
     )
 

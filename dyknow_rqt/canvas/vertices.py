@@ -265,15 +265,9 @@ class VertexItem(Item):
     def _badge(self) -> str:
         if self.vertex.kind is not VertexKind.NODELET:
             return ""
-        words = [
-            word
-            for word, holds in (
-                ("C++", self.is_cpp),
-                ("protected", self.is_protected),
-                (self.state.name.lower(), self.state is not State.RUNNING),
-            )
-            if holds
-        ]
+        words = ["C++"] if self.is_cpp else []
+        words += ["protected"] if self.is_protected else []
+        words += [self.state.name.lower()] if self.state is not State.RUNNING else []
         return " · ".join(words)
 
     def _paint_badge(self, painter: QPainter, text: str, larger: float) -> None:

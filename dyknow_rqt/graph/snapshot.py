@@ -78,18 +78,15 @@ def plain_nodes(
     publishers: Side, subscribers: Side, topics: AbstractSet[str], hosts: AbstractSet[str]
 ) -> tuple[PlainNode, ...]:
     """Find the ordinary nodes, all but the nodelet managers ``hosts``, that use these topics."""
-    published: dict[str, list[str]] = {}
-    subscribed: dict[str, list[str]] = {}
-    for side, used in ((publishers, published), (subscribers, subscribed)):
+    used: dict[str, tuple[list[str], list[str]]] = {}
+    for number, side in enumerate((publishers, subscribers)):
         for topic, nodes in side:
             for node in nodes:
                 if topic in topics and node not in hosts:
-                    used.setdefault(node, []).append(topic)
+                    used.setdefault(node, ([], []))[number].append(topic)
     return tuple(
-        PlainNode(
-            name, tuple(sorted(published.get(name, ()))), tuple(sorted(subscribed.get(name, ())))
-        )
-        for name in sorted({*published, *subscribed})
+        PlainNode(name, tuple(sorted(publishes)), tuple(sorted(subscribes)))
+        for name, (publishes, subscribes) in sorted(used.items())
     )
 
 

@@ -139,15 +139,10 @@ def _strangers(
 ) -> bool:
     """Whether a vertex is in the box of another namespace, or two boxes overlap."""
     boxes = boxes_around({v.key: v.group for v in vertices}, centres, sizes)
-    groups = sorted(boxes)
+    inner = {(*v.group, v.key): around(centres[v.key], sizes[v.key]) for v in vertices}
     return any(
-        boxes[group].meets(around(centres[v.key], sizes[v.key]))
-        for group in groups
-        for v in vertices
-        if v.group[: len(group)] != group
-    ) or any(
-        boxes[one].meets(boxes[other])
-        for one in groups
-        for other in groups
-        if one < other and other[: len(one)] != one
+        box.meets(area)
+        for group, box in boxes.items()
+        for other, area in (*boxes.items(), *inner.items())
+        if group[: len(other)] != other and other[: len(group)] != group
     )

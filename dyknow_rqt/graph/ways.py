@@ -151,14 +151,8 @@ def _part_of(entry: Entry) -> WayPart:
     how, *costs = (word for word in entry.how.split(", ") if word)
     cost = " + ".join(word.partition(" ")[2] for word in costs if word[:4] in ("cost", "char"))
     rest = [word for word in costs if word[:4] not in ("cost", "char")]
-    return WayPart(
-        entry.depth + 1,
-        entry.port,
-        what,
-        ", ".join([how, *rest]),
-        cost,
-        f"?{bindings[:-1]}" if is_bound else "",
-    )
+    bindings = f"?{bindings[:-1]}" if is_bound else ""
+    return WayPart(entry.depth + 1, entry.port, what, ", ".join([how, *rest]), cost, bindings)
 
 
 def fates_of(parts: Iterable[WayPart]) -> Mapping[str, bool]:
