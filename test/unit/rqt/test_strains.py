@@ -10,14 +10,14 @@ from dataclasses import replace
 import pytest
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
 from python_qt_binding.QtGui import QPainterPath, QTransform
-from unit.rqt.hands import FORMULAS, context_menu, until, vertex_keys, window_of
+from unit.rqt.hands import FORMULAS, context_menu, until
 
 from dyknow.formulas import Truth, Verdict
 from dyknow.model.graph import NodeletStatus, PortRef, PortState, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import IN, OUT, VERDICT, Parameter
 from dyknow_rqt.canvas.overview import _shapes
-from dyknow_rqt.graph.measurements import PortRate, Strain, port_verdicts, verdict_sources
+from dyknow_rqt.graph.measurements import PortRate, port_verdicts, verdict_sources
 
 CAMERA, TRACKER = "/nao1/bottom_camera", "/field/tracker"
 #: Bytes a second, and pixels.
@@ -152,16 +152,6 @@ def test_what_is_busy_or_fails_is_seen_from_far(qtbot, window, scene, remote):
     assert look() == (2.2, scene.colours.warning.rgba(), Qt.SolidLine)
     remote.client.strains[CAMERA] = (0.9, "late")
     until(qtbot, lambda: look() == (2.2, scene.colours.alarm.rgba(), Qt.DotLine))
-
-
-def test_the_past_and_a_silent_manager_show_no_strain(qtbot, remote):
-    remote.client.strains[CAMERA] = (0.9, "late")
-    window = window_of(qtbot, remote)
-    until(qtbot, lambda: f"n_{CAMERA}" in vertex_keys(window))
-    item = window.graph.view.scene().vertices[f"n_{CAMERA}"]
-    until(qtbot, lambda: item.strain.busy and item.strain.error)
-    remote.client.is_up = False
-    until(qtbot, lambda: item.strain == Strain())
 
 
 @pytest.mark.parametrize(
