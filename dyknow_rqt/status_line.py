@@ -19,7 +19,6 @@ from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAction,
     QApplication,
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QSizePolicy,
@@ -31,7 +30,7 @@ from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.filters import BadFilter
 from dyknow_rqt.graph.health import Ill, Status, ills_of
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.widgets import wrapped
+from dyknow_rqt.widgets import row_of, wrapped
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
 _NOTE_TIME = 6000  # ms
@@ -43,11 +42,12 @@ def _survive(kind: type[BaseException], error: BaseException, trace: TracebackTy
     """Show an error that has left a slot; without a hook PyQt aborts the process, be it rqt.
 
     Expected errors are shown in their own words, others with their type, and logged. Those of
-    other programs in this process are left to Python.
+    other parts of this process, and those that end it, are left to Python.
     """
-    modules = [frame.f_globals["__name__"] for frame, _ in traceback.walk_tb(trace)]
-    is_ours = any(name.startswith("dyknow_rqt.") for name in modules)
-    if not (is_ours and isinstance(error, Exception)):
+    frames = [frame for frame, _ in traceback.walk_tb(trace)]
+    is_ours = any(f.f_globals.get("__name__", "").startswith("dyknow_rqt.") for f in frames)
+    is_end = not frames or frames[0].f_code.co_name == "<module>"
+    if is_end or not is_ours or not isinstance(error, Exception):
         sys.__excepthook__(kind, error, trace)
         return
     text = str(error)
@@ -76,12 +76,10 @@ class StatusLine(QWidget):
         self.yes = QPushButton(clicked=self._confirm)
         self.no = QPushButton("Cancel", clicked=self.clear)
         self.dismiss = QPushButton("Dismiss", clicked=self.clear)
-        row = QHBoxLayout(self)
+        row = row_of(self._text, self.yes, self.no, self.dismiss, self.contact)
         row.setContentsMargins(6, 2, 6, 2)
-        row.addWidget(self._text, 1)
-        for button in (self.yes, self.no, self.dismiss):
-            row.addWidget(button)
-        row.addWidget(self.contact)
+        row.setStretch(0, 1)
+        self.setLayout(row)
         #: Declines the question of the line, or dismisses its message; works in the whole window.
         self.decline = QAction(self, shortcut=QKeySequence(Qt.Key_Escape), triggered=self.clear)
         self.decline.setShortcutContext(Qt.WidgetWithChildrenShortcut)

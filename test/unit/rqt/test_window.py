@@ -141,10 +141,14 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
 
-def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, monkeypatch):
+def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, monkeypatch, capsys):
     monkeypatch.setattr(window.graph.view.scene(), "find", lambda text: 1 / 0)
     qtbot.keyClicks(window.graph.bar.search, "x")
     assert "ZeroDivisionError" in window.line.text
+    window.line.clear()
+    QTimer.singleShot(0, lambda: 1 / 0)  # in another part of the process
+    until(qtbot, lambda: "ZeroDivisionError" in capsys.readouterr().err)
+    assert window.line.text == ""
 
 
 def test_settings_are_kept(qtbot, window, remote):
