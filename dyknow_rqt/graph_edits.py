@@ -17,21 +17,10 @@ from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Port
 from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.canvas.view import GraphView, Target
-from dyknow_rqt.graph import changes
+from dyknow_rqt.graph import changes, wiring
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Places, Point
 from dyknow_rqt.graph.snapshot import not_destroyed
-from dyknow_rqt.graph.wiring import (
-    Rewire,
-    connect,
-    connect_topic,
-    disconnect,
-    free_name,
-    offers,
-    partners,
-    spawn_at,
-    splice,
-)
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
@@ -79,7 +68,7 @@ class GraphEdits(QObject):
     # Connections
 
     def _drag_began(self, ref: PortRef) -> None:
-        self._view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
+        self._view.scene().offer(set(wiring.partners(self._monitor.snapshot, ref)) | {ref})
 
     def _dragged(self, start: PortRef, target: Target) -> None:
         """Describe the type of the connection, and its effect if it ends here."""
@@ -104,23 +93,23 @@ class GraphEdits(QObject):
         if target is not None:
             self._monitor.do(self._connection(start, target))
             return
-        refs = [str(ref) for ref in partners(self._monitor.snapshot, start)]
+        refs = [str(ref) for ref in wiring.partners(self._monitor.snapshot, start)]
         more = f" and {len(refs) - _NAMED} more" if len(refs) > _NAMED else ""
         fitting = f"a port that fits ({', '.join(refs[:_NAMED])}{more}), or at " if refs else ""
         self._line.note(f"{start} is not connected: end the arrow at {fitting}a topic")
         self._offer(start, place)
 
-    def _connection(self, start: PortRef, target: Target) -> Rewire:
+    def _connection(self, start: PortRef, target: Target) -> wiring.Rewire:
         snapshot = self._monitor.snapshot
         if isinstance(target, PortRef):
-            return connect(snapshot, start, target)
+            return wiring.connect(snapshot, start, target)
         if isinstance(target, Edge):
-            return splice(snapshot, start, target)
-        return connect_topic(snapshot, start, target or "")
+            return wiring.splice(snapshot, start, target)
+        return wiring.connect_topic(snapshot, start, target or "")
 
     def _offer(self, start: PortRef, place: QPointF) -> None:
         """Offer the transformations that could be made at a place, connected with a port."""
-        found = offers(self._monitor.snapshot, self._monitor.library, start)
+        found = wiring.offers(self._monitor.snapshot, self._monitor.library, start)
         if not found:
             return
         menu = QMenu(self._window)
@@ -139,8 +128,8 @@ class GraphEdits(QObject):
 
     def _create(self, start: PortRef, label: str, port: Port, place: QPointF) -> None:
         snapshot = self._monitor.snapshot
-        name = free_name(snapshot, label, names.parent(start.nodelet))
-        change = spawn_at(snapshot, start, label, port, name)
+        name = wiring.free_name(snapshot, label, names.parent(start.nodelet))
+        change = wiring.spawn_at(snapshot, start, label, port, name)
         self.places.put({key_of(VertexKind.NODELET, name): Point(place.x(), place.y())})
         self._monitor.do(change)
 
@@ -162,7 +151,7 @@ class GraphEdits(QObject):
             self.ask_to_destroy(self._selection.nodelets)
 
     def disconnect_ports(self, refs: tuple[PortRef, ...]) -> None:
-        self._monitor.do(disconnect(self._monitor.snapshot, refs))
+        self._monitor.do(wiring.disconnect(self._monitor.snapshot, refs))
 
     def ask_to_destroy(self, nodelets: Sequence[str]) -> None:
         why_not = not_destroyed(nodelets, self._monitor.snapshot)

@@ -205,8 +205,8 @@ def place_labels(
     for area in obstacles:
         ground.take(area)
     for path in paths.values():
-        for start, end in zip(path, path[1:]):
-            ground.take(_between(start, end))
+        for (a, b), (c, d) in zip(path, path[1:]):
+            ground.take(Rectangle(min(a, c), min(b, d) - 0.5, max(a, c), max(b, d) + 0.5))
     places = {}
     for edge in sorted(sizes, key=lambda edge: (-sizes[edge][0].height, edge)):
         if not any(map(ground.is_free, _candidates(paths[edge], sizes[edge][-1]))):
@@ -241,11 +241,6 @@ def _points(curve: Sequence[Point]) -> Iterator[Point]:
                 p * a[0] + q * b[0] + r * c[0] + s * d[0],
                 p * a[1] + q * b[1] + r * c[1] + s * d[1],
             )
-
-
-def _between(start: Point, end: Point) -> Rectangle:
-    (a, b), (c, d) = start, end
-    return Rectangle(min(a, c), min(b, d) - 0.5, max(a, c), max(b, d) + 0.5)
 
 
 class _Ground:

@@ -338,11 +338,9 @@ def _state(stream: StreamStatus) -> str:
     """The state of a stream, with its reason."""
     state, reason = stream.state.name.lower(), stream.detail.partition("\n")[0]
     is_over = stream.state in (ClaimState.RELEASED, ClaimState.EXPIRED)
-    return state if is_over or not reason else f"{state}: {_cut(reason)}"
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+    if len(reason) > _LONGEST:
+        reason = f"{reason[: _LONGEST - 1]}…"
+    return state if is_over or not reason else f"{state}: {reason}"
 
 
 def _names(field: QLineEdit) -> tuple[str, ...]:
