@@ -11,6 +11,7 @@ import sys
 import traceback
 import weakref
 from collections import Counter
+from functools import partial
 from types import TracebackType
 from typing import Any, Callable
 
@@ -38,17 +39,22 @@ _NOTE_TIME = 6000  # ms
 _LINES: weakref.WeakSet[StatusLine] = weakref.WeakSet()
 
 
-def _survive(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _survive(
+    before: Callable[..., object],
+    kind: type[BaseException],
+    error: BaseException,
+    trace: TracebackType | None,
+) -> None:
     """Show an error that has left a slot; without a hook PyQt aborts the process, be it rqt.
 
     Expected errors are shown in their own words, others with their type, and logged. Those of
-    other parts of this process, and those that end it, are left to Python.
+    other parts of this process, and those that end it, are left to the hook before this one.
     """
     frames = [frame for frame, _ in traceback.walk_tb(trace)]
     is_ours = any(f.f_globals.get("__name__", "").startswith("dyknow_rqt.") for f in frames)
     is_end = not frames or frames[0].f_code.co_name == "<module>"
     if is_end or not is_ours or not isinstance(error, Exception):
-        sys.__excepthook__(kind, error, trace)
+        before(kind, error, trace)
         return
     text = str(error)
     if not isinstance(error, (DyKnowError, BadFilter, OSError)):
@@ -68,7 +74,7 @@ class StatusLine(QWidget):
     def __init__(self) -> None:
         super().__init__()
         _LINES.add(self)
-        sys.excepthook = _survive
+        sys.excepthook = partial(_survive, sys.excepthook)
         self._text = QLabel(wordWrap=True, textFormat=Qt.PlainText, accessibleName="Message")
         self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)

@@ -141,6 +141,7 @@ def test_a_manager_that_does_not_answer_keeps_what_can_be_undone(qtbot, window, 
     until(qtbot, lambda: window.monitor.snapshot.nodelet("/first") is None)
 
 
+@pytest.mark.qt_no_exception_capture
 def test_a_slot_that_raises_leaves_a_line_and_a_living_window(qtbot, window, monkeypatch, capsys):
     monkeypatch.setattr(window.graph.view.scene(), "find", lambda text: 1 / 0)
     qtbot.keyClicks(window.graph.bar.search, "x")
