@@ -9,7 +9,6 @@ thread of the window only; everything that may block is called in the background
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from dataclasses import replace
@@ -34,7 +33,6 @@ from dyknow_rqt.remote import Remote
 
 T = TypeVar("T")
 
-_LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Milliseconds from look to look.
 _PERIOD = 1000
 #: Milliseconds for which verdicts are gathered before they are shown.

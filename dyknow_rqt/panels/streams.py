@@ -266,6 +266,9 @@ class StreamsPanel(Panel):
             self._begin_question()
             self._show_way(claim)
 
+    def _show_present_way(self) -> None:
+        self._show_way(self._explained)
+
     def _show_event(self, event: StreamEvent) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
@@ -303,7 +306,7 @@ class StreamsPanel(Panel):
         self.plan.picked.connect(self._selection.choose_nodelets)
         self.tag.textEdited.connect(self._forget_plan)
         self.tag.textEdited.connect(self._begin_question)
-        self._monitor.changed.connect(lambda: self._show_way(self._explained))
+        self._monitor.changed.connect(self._show_present_way)
         self.tag.textEdited.connect(
             lambda text: self._offered.setStringList(tag_completions(text, self._tags))
         )
