@@ -226,7 +226,7 @@ _REACH = 50.0
 
 
 class Wire(QLabel):
-    """The words, hidden while no connection is drawn; ``start`` is None then."""
+    """The words beside a connection that a hand draws; hidden, with no start, while none is."""
 
     def __init__(self, view: GraphView) -> None:
         super().__init__(view.viewport())

@@ -26,7 +26,7 @@ _WORDS = ("lost", "failed", "degraded", "slow", "waiting")
 
 
 class Ill(NamedTuple):
-    """A nodelet or a claim that is not well: a word, its name or tag, and which it is."""
+    """A nodelet, by its name, or a claim, by its id, that is not well; the title is for people."""
 
     word: str
     title: str

@@ -36,7 +36,7 @@ _BUSY = 0.5
 
 @dataclass(frozen=True)
 class PortRate:
-    """The traffic of a port: messages a second now, and since its nodelet was loaded.
+    """The traffic of a port: messages and drops, a second now, and since its nodelet was loaded.
 
     The bandwidth is in bytes a second; the age is the time (s) from the stamp of a message to its
     publication. Both are None if not known.
