@@ -112,7 +112,8 @@ class Options:
 
     Without ``topics`` arrows lead from nodelet to nodelet. Dead sinks are topics without a
     receiver, leaf topics those with one end only; ``nodes`` are ordinary ones. The depth says how
-    many parts of a namespace make boxes, or of a host and a nodelet manager.
+    many parts of a namespace make boxes, or of a host and a nodelet manager; of collapsed boxes
+    each is one vertex.
     """
 
     topics: bool = True
