@@ -59,7 +59,7 @@ def _survive(
     text = str(error)
     if not isinstance(error, (DyKnowError, BadFilter, OSError)):
         _LOG.error("not caught", exc_info=(kind, error, trace))
-        text = f"{kind.__name__}: {error}"
+        text = f"{kind.__name__} in {frames[0].f_code.co_name}: {error}"
     for line in list(_LINES):
         with contextlib.suppress(RuntimeError):  # Qt has taken the window apart
             line.report(text)
