@@ -28,8 +28,8 @@ from dyknow_benchmark.session import (
     steps,
 )
 from dyknow_rqt.canvas.view import GraphView
-from dyknow_rqt.example_graphs import spawn_relay
 from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.simulated import spawn_relay
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 _PATIENCE = 180.0
@@ -132,7 +132,7 @@ def _is_whole(window: DyKnowWidget, count: int) -> bool:
         len(nodelets) == count
         and all(each.state is State.RUNNING for each in nodelets)
         and all(f"n_{each.name}" in vertices for each in nodelets)
-        and all(vertices[f"n_{each.name}"].appearance.state is each.state for each in nodelets)
+        and all(vertices[f"n_{each.name}"].state is each.state for each in nodelets)
     )
 
 

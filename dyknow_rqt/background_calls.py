@@ -1,51 +1,23 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Calls in worker threads, whose results arrive as signals, and slots that never raise."""
+"""Calls in worker threads, and long work of the interface's own, in slices."""
 
 from __future__ import annotations
 
-import functools
-import inspect
 import logging
 import threading
+import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Optional, TypeVar, cast
+from typing import Callable, Iterator, TypeVar
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError
 from dyknow.periodic import Workers
-from dyknow_rqt.graph.filters import BadFilter
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 T = TypeVar("T")
-
-
-def qt_slot(method: _Function) -> _Function:
-    """Let a method be called by Qt.
-
-    An exception is shown by the ``report`` of the object, if it has one: expected errors in their
-    own words, unexpected ones with their type, and logged with their traceback. Arguments of a
-    signal that the method does not take are dropped.
-    """
-    most = len(inspect.signature(method).parameters) - 1
-
-    @functools.wraps(method)
-    def guard(self: Any, *args: Any) -> Any:
-        try:
-            return method(self, *args[:most])
-        except (DyKnowError, BadFilter, OSError) as error:
-            text = str(error)
-        except Exception as error:
-            _LOG.exception("in %s", method.__qualname__)
-            text = f"{type(error).__name__} in {method.__qualname__}: {error}"
-        if hasattr(self, "report"):
-            self.report(text)
-        return None
-
-    return cast(_Function, guard)
 
 
 class BackgroundCalls(QObject):
@@ -57,11 +29,11 @@ class BackgroundCalls(QObject):
         """Start the threads for so many calls at a time; in the thread of the window."""
         super().__init__()
         self._closed = threading.Event()
-        self._results: Deque[Callable[[], None]] = deque()
+        self._results: deque[Callable[[], None]] = deque()
         self._turns = QTimer(self, interval=0, timeout=self._deliver)
         self._delivered.connect(self._turns.start)
         #: Calls that run one at a time, each with the call that follows it.
-        self._once: Dict[str, Optional[Callable[[], None]]] = {}
+        self._once: dict[str, Callable[[], None] | None] = {}
         self._workers = Workers("dyknow_rqt worker", count)
 
     @property
@@ -134,7 +106,63 @@ class BackgroundCalls(QObject):
         if self._closed.is_set() or not self._results:
             self._turns.stop()
             return
+        self._results.popleft()()
+
+
+#: A function that yields where its work may be interrupted.
+Job = Callable[[], Iterator[None]]
+#: Seconds of work until the next turn of the event loop.
+SLICE = 0.02
+
+
+class Slices(QObject):
+    """Does jobs one after the other, each once however often it was wanted meanwhile.
+
+    It is working while a slice is being done; between two of them a user may be at work.
+    """
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self.is_working = False
+        self._steps: dict[Job, Iterator[None]] = {}
+        self._again: set[Job] = set()
+        self._timer = QTimer(self, interval=0, timeout=self.go_on)
+
+    def want(self, job: Job) -> None:
+        """Do a job soon, and once more if it is under way."""
+        if job in self._steps:
+            self._again.add(job)
+        else:
+            self._steps[job] = job()
+            self._timer.start()
+
+    def is_wanted(self, job: Job) -> bool:
+        return job in self._steps
+
+    def close(self) -> None:
+        self._timer.stop()
+        self._steps.clear()
+
+    def go_on(self) -> None:
+        """Do one slice."""
+        self.is_working = True
         try:
-            self._results.popleft()()
-        except Exception:
-            _LOG.exception("the result of a call could not be taken in")
+            self._do(time.monotonic() + SLICE)
+        finally:
+            self.is_working = False
+        if not self._steps:
+            self._timer.stop()
+
+    def _do(self, end: float) -> None:
+        for job in list(self._steps):
+            try:
+                for _ in self._steps[job]:
+                    if time.monotonic() > end:
+                        return
+            except BaseException:
+                self._steps.pop(job, None)
+                raise
+            self._steps.pop(job, None)
+            if job in self._again:
+                self._again.discard(job)
+                self._steps[job] = job()

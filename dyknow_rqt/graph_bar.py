@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Iterable, List, Union
+from typing import Any, Iterable
 
 from python_qt_binding.QtCore import QByteArray, QEvent, QSize, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QIcon, QKeySequence, QPainter, QPalette, QPixmap
@@ -14,18 +14,15 @@ from python_qt_binding.QtWidgets import (
     QAction,
     QActionGroup,
     QLabel,
-    QLineEdit,
     QMenu,
     QToolBar,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Boxes, Group, Options
 from dyknow_rqt.graph.filters import Filter
-from dyknow_rqt.widgets import FilterEdit, row_of
+from dyknow_rqt.widgets import FilterEdit, bare_column_in, field_of, row_of
 
 _TYPING = 250  # ms
 #: A view is narrow if it is so many times higher than wide.
@@ -72,11 +69,8 @@ _LINES = {
 class GraphBar(QWidget):
     """Edits the options; its state is a dictionary of texts.
 
-    Buttons that have no room are in a menu at the end of the bar.
-
-    Attributes:
-        settings: by name, actions of which each holds or not, and groups of which one holds.
-        collapsed: boxes that are drawn as one vertex.
+    Buttons that have no room are in a menu at the end of the bar. Settings are actions of which
+    each holds or not, and groups of which one holds; collapsed boxes are drawn as one vertex.
     """
 
     #: The options have changed.
@@ -86,10 +80,10 @@ class GraphBar(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.collapsed: FrozenSet[Group] = frozenset()
+        self.collapsed: frozenset[Group] = frozenset()
         self.tools = QToolBar()
         self.tools.setToolButtonStyle(Qt.ToolButtonTextUnderIcon)
-        self._icons: Dict[str, QAction] = {}
+        self._icons: dict[str, QAction] = {}
         self.panel = self._add("Pa&nel", "view-sidetree", "Show the control panel", "F9")
         self.panel.setCheckable(True)
         self.panel.setChecked(True)
@@ -112,28 +106,24 @@ class GraphBar(QWidget):
         self.timeline.setCheckable(True)
         self.refresh = self._add("Refres&h", "view-refresh", "Read everything now", "F5", "Ctrl+R")
         #: Not in the bar: these have keys, and are in the menu of the background.
-        self.find, self.find_next = QAction("&Find …", self), QAction("Find &next", self)
-        self.keys = QAction("&Keys …", self)
-        _give_keys(self.find, "Ctrl+F")
-        _give_keys(self.find_next, "F3")
-        self.next_ill = QAction("Next that is not &well", self)
-        _give_keys(self.keys, "Shift+?", "?", "F1")
-        _give_keys(self.next_ill, "F8")
-        self.search = QLineEdit()
-        self.search.setPlaceholderText("find (Ctrl+F)")
+        self.find = _with_keys(QAction("&Find …", self), "Ctrl+F")
+        self.find_next = _with_keys(QAction("Find &next", self), "F3")
+        self.keys = _with_keys(QAction("&Keys …", self), "Shift+?", "?", "F1")
+        self.next_ill = _with_keys(QAction("Next that is not &well", self), "F8")
+        self.search = field_of("find (Ctrl+F)", name="Find")
         self.search.setClearButtonEnabled(True)
-        self.search.setAccessibleName("Find")
         self.search.setFixedWidth(130)
         self.hits = QLabel()
         self.hits.hide()
         self.nodelets, self.topics = (FilterEdit(what) for what in _FILTERS)
-        self._typing = QTimer(self, singleShot=True, interval=_TYPING)
-        self._typing.timeout.connect(self._tell)
+        self._typing = QTimer(
+            self, singleShot=True, interval=_TYPING, timeout=self.options_changed
+        )
         self._arrange()
         self.show_history("", "")
 
     @property
-    def actions_with_keys(self) -> List[QAction]:
+    def actions_with_keys(self) -> list[QAction]:
         found = [action for action in self.tools.actions() if action.shortcuts()]
         return [*found, self.find, self.find_next, self.next_ill, self.keys]
 
@@ -172,7 +162,7 @@ class GraphBar(QWidget):
         if self.chosen(name) != number:
             action.trigger()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         is_filtered = self.filter.isChecked()
         return {
@@ -181,7 +171,7 @@ class GraphBar(QWidget):
             "collapsed": "\n".join(" ".join(group) for group in sorted(self.collapsed)),
         }
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
         for name, option in self.settings.items():
             count = 2 if isinstance(option, QAction) else len(option.actions())
@@ -192,17 +182,14 @@ class GraphBar(QWidget):
         groups = str(state.get("collapsed", "")).splitlines()
         self.collapsed = frozenset(tuple(group.split()) for group in groups if group)
 
-    @qt_slot
     def collapse(self, groups: Iterable[Group]) -> None:
         """Draw these boxes as one vertex each, and only these."""
         self.collapsed = frozenset(groups)
-        self._tell_structure()
+        self.structure_changed.emit()
 
-    @qt_slot
     def toggle_box(self, group: Group) -> None:
         self.collapse(self.collapsed ^ {group})
 
-    @qt_slot
     def show_history(self, undo: str, redo: str) -> None:
         for action, text in ((self.undo, undo), (self.redo, redo)):
             action.setEnabled(bool(text))
@@ -212,7 +199,6 @@ class GraphBar(QWidget):
         self.hits.setText(text)
         self.hits.setVisible(bool(text))
 
-    @qt_slot
     def changeEvent(self, event: QEvent) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
@@ -222,8 +208,7 @@ class GraphBar(QWidget):
         """Add a button with a name; it takes the focus as other buttons do."""
         action = self._icons[icon] = self.tools.addAction(text)
         action.setIconText(text)  # with its letter
-        _give_keys(action, *keys)
-        _explain(action, tip)
+        _explain(_with_keys(action, *keys), tip)
         button = self.tools.widgetForAction(action)
         button.setFocusPolicy(Qt.TabFocus)
         button.setPopupMode(QToolButton.InstantPopup)
@@ -232,14 +217,14 @@ class GraphBar(QWidget):
     def _menu_of_options(self) -> QMenu:
         menu = QMenu(self)
         menu.setToolTipsVisible(True)
-        self.settings: Dict[str, Union[QAction, QActionGroup]] = {}
+        self.settings: dict[str, QAction | QActionGroup] = {}
         for name, title, texts, first in _CHOICES:
             group = self.settings[name] = QActionGroup(self)
             for text in texts:
                 action = group.addAction(text)
                 action.setCheckable(True)
             group.actions()[first].setChecked(True)
-            group.triggered.connect(self._tell_structure)
+            group.triggered.connect(self.structure_changed)
             menu.addMenu(title).addActions(group.actions())
         menu.addSeparator()
         for name, title, tip, holds in _CHECKS:
@@ -247,7 +232,7 @@ class GraphBar(QWidget):
             option.setCheckable(True)
             option.setChecked(holds)
             option.setToolTip(tip)
-            option.triggered.connect(self._tell)
+            option.triggered.connect(self.options_changed)
         return menu
 
     def _arrange(self) -> None:
@@ -260,13 +245,9 @@ class GraphBar(QWidget):
         second.setLayout(row_of(self.nodelets, self.topics))
         second.layout().setContentsMargins(4, 0, 4, 4)
         second.hide()
-        rows = QVBoxLayout(self)
-        rows.setContentsMargins(0, 0, 4, 0)
-        rows.setSpacing(0)
-        rows.addLayout(first)
-        rows.addWidget(second)
+        bare_column_in(self, first, second).setContentsMargins(0, 0, 4, 0)
         self.filter.toggled.connect(second.setVisible)
-        self.filter.toggled.connect(self._tell)
+        self.filter.toggled.connect(self.options_changed)
         for edit in (self.nodelets, self.topics):
             edit.filter_changed.connect(self._filter)
 
@@ -275,25 +256,17 @@ class GraphBar(QWidget):
             action.setIcon(_icon_of(name, self.palette()))
         self._more.setIcon(_icon_of("go-next", self.palette()))
 
-    @qt_slot
     def _filter(self) -> None:
         if self.nodelets.text() or self.topics.text():
             self.filter.setChecked(True)
         self._typing.start()
 
-    @qt_slot
-    def _tell(self) -> None:
-        self.options_changed.emit()
 
-    @qt_slot
-    def _tell_structure(self) -> None:
-        self.structure_changed.emit()
-
-
-def _give_keys(action: QAction, *keys: str) -> None:
+def _with_keys(action: QAction, *keys: str) -> QAction:
     """Let keys trigger an action from anywhere in the window."""
     action.setShortcuts([QKeySequence(key) for key in keys])
     action.setShortcutContext(Qt.WidgetWithChildrenShortcut)
+    return action
 
 
 def _explain(action: QAction, tip: str) -> None:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, Signal
 from python_qt_binding.QtWidgets import QMenu, QWidget
@@ -16,62 +16,48 @@ from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import Port
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.view import GraphView, Target
-from dyknow_rqt.graph import changes
+from dyknow_rqt.graph import changes, wiring
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
-from dyknow_rqt.graph.geometry import Point
-from dyknow_rqt.graph.places import Places
-from dyknow_rqt.graph.wiring import (
-    Rewire,
-    connect,
-    connect_topic,
-    disconnect,
-    free_name,
-    offers,
-    partners,
-    spawn_at,
-    splice,
-)
+from dyknow_rqt.graph.geometry import Places, Point
+from dyknow_rqt.graph.snapshot import not_destroyed
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.parameters import ParametersDialog
+from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.status_line import StatusLine
 
 #: So many ports are named, and so many things to make are offered.
 _NAMED, _OFFERED = 3, 15
+#: The most nodelets that are named in a question; of more, only the tool tip has the names.
+_ASKED = 5
 
 
 class GraphEdits(QObject):
-    """Connections drawn by hand, moved vertices, and the actions of menus and keys.
+    """Connections drawn by hand, places of moved vertices, and the actions of menus and keys.
 
     The other parts of the window connect to the signals.
-
-    Attributes:
-        places: where the user has put vertices.
     """
 
-    #: Something to know, in words.
-    noted = Signal(str)
     #: Vertices have other places.
     moved = Signal()
     #: Connect a port; the nodelet, and the port or an empty text.
     connection_wanted = Signal(str, str)
     #: Make a nodelet; the label of its transformation, or an empty text.
     create_wanted = Signal(str)
-    #: Destroy nodelets, after asking; their names.
-    destroy_wanted = Signal(object)
-    #: Protect nodelets, or release them; their names.
-    protect_wanted = Signal(object, bool)
     #: Show the last message of a topic.
     topic_wanted = Signal(str)
 
     def __init__(
-        self, monitor: GraphMonitor, view: GraphView, selection: Selection, window: QWidget
+        self,
+        monitor: GraphMonitor,
+        view: GraphView,
+        selection: Selection,
+        line: StatusLine,
+        window: QWidget,
     ) -> None:
         super().__init__(window)
         self._monitor, self._view, self._selection = monitor, view, selection
-        self._window = window
-        self.report = monitor.report
+        self._line, self._window = line, window
         self.places = Places()
         view.drag_began.connect(self._drag_began)
         view.dragged.connect(self._dragged)
@@ -81,11 +67,9 @@ class GraphEdits(QObject):
 
     # Connections
 
-    @qt_slot
     def _drag_began(self, ref: PortRef) -> None:
-        self._view.scene().offer(set(partners(self._monitor.snapshot, ref)) | {ref})
+        self._view.scene().offer(set(wiring.partners(self._monitor.snapshot, ref)) | {ref})
 
-    @qt_slot
     def _dragged(self, start: PortRef, target: Target) -> None:
         """Describe the type of the connection, and its effect if it ends here."""
         port = self._monitor.snapshot.port(start)
@@ -105,28 +89,27 @@ class GraphEdits(QObject):
                 lines += [what, *over, change.replaced]
         self._view.wire.say("\n".join(line for line in lines if line))
 
-    @qt_slot
     def _dropped(self, start: PortRef, target: Target, place: QPointF) -> None:
         if target is not None:
             self._monitor.do(self._connection(start, target))
             return
-        refs = [str(ref) for ref in partners(self._monitor.snapshot, start)]
+        refs = [str(ref) for ref in wiring.partners(self._monitor.snapshot, start)]
         more = f" and {len(refs) - _NAMED} more" if len(refs) > _NAMED else ""
         fitting = f"a port that fits ({', '.join(refs[:_NAMED])}{more}), or at " if refs else ""
-        self.noted.emit(f"{start} is not connected: end the arrow at {fitting}a topic")
+        self._line.note(f"{start} is not connected: end the arrow at {fitting}a topic")
         self._offer(start, place)
 
-    def _connection(self, start: PortRef, target: Target) -> Rewire:
+    def _connection(self, start: PortRef, target: Target) -> wiring.Rewire:
         snapshot = self._monitor.snapshot
         if isinstance(target, PortRef):
-            return connect(snapshot, start, target)
+            return wiring.connect(snapshot, start, target)
         if isinstance(target, Edge):
-            return splice(snapshot, start, target)
-        return connect_topic(snapshot, start, target or "")
+            return wiring.splice(snapshot, start, target)
+        return wiring.connect_topic(snapshot, start, target or "")
 
     def _offer(self, start: PortRef, place: QPointF) -> None:
         """Offer the transformations that could be made at a place, connected with a port."""
-        found = offers(self._monitor.snapshot, self._monitor.library, start)
+        found = wiring.offers(self._monitor.snapshot, self._monitor.library, start)
         if not found:
             return
         menu = QMenu(self._window)
@@ -143,24 +126,21 @@ class GraphEdits(QObject):
         view = self._view
         menu.popup(view.viewport().mapToGlobal(view.mapFromScene(place)))
 
-    @qt_slot
     def _create(self, start: PortRef, label: str, port: Port, place: QPointF) -> None:
         snapshot = self._monitor.snapshot
-        name = free_name(snapshot, label, names.parent(start.nodelet))
-        change = spawn_at(snapshot, start, label, port, name)
+        name = wiring.free_name(snapshot, label, names.parent(start.nodelet))
+        change = wiring.spawn_at(snapshot, start, label, port, name)
         self.places.put({key_of(VertexKind.NODELET, name): Point(place.x(), place.y())})
         self._monitor.do(change)
 
     # Places
 
-    @qt_slot
     def _keep(self, places: Mapping[str, Point]) -> None:
         self.places.put(places)
         self.moved.emit()
 
     # Menus and keys
 
-    @qt_slot
     def _delete(self) -> None:
         """Disconnect the selected arrows, or else destroy the selected nodelets, after asking."""
         edges = self._selection.edges
@@ -168,23 +148,32 @@ class GraphEdits(QObject):
         if refs:
             self.disconnect_ports(refs)
         elif self._selection.nodelets:
-            self.destroy_wanted.emit(self._selection.nodelets)
+            self.ask_to_destroy(self._selection.nodelets)
 
-    @qt_slot
-    def disconnect_ports(self, refs: Tuple[PortRef, ...]) -> None:
-        self._monitor.do(disconnect(self._monitor.snapshot, refs))
+    def disconnect_ports(self, refs: tuple[PortRef, ...]) -> None:
+        self._monitor.do(wiring.disconnect(self._monitor.snapshot, refs))
 
-    @qt_slot
+    def ask_to_destroy(self, nodelets: Sequence[str]) -> None:
+        why_not = not_destroyed(nodelets, self._monitor.snapshot)
+        if why_not:
+            self._line.report(why_not)
+            return
+        steps = [changes.destroy(name) for name in nodelets]
+        question = f"Destroy {', '.join(nodelets)}?"
+        if len(nodelets) > _ASKED:
+            question = "\n".join([f"Destroy {len(nodelets)} nodelets?", *nodelets])
+        self._line.ask(question, "Destroy", lambda: self._monitor.do_in_turn(steps))
+
+    def protect(self, nodelets: Sequence[str], on: bool) -> None:
+        self._monitor.do_in_turn([changes.protect(name, on) for name in nodelets])
+
     def restart(self, nodelets: Sequence[str]) -> None:
         self._monitor.do(changes.restart(tuple(nodelets)))
 
-    @qt_slot
     def isolate(self, nodelets: Sequence[str], on: bool) -> None:
         self._monitor.do(changes.isolate(tuple(nodelets), on))
 
-    @qt_slot
     def show_parameters(self, name: str) -> None:
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:
-            transformation = self._monitor.library.get(nodelet.transformation)
-            ParametersDialog(self._monitor, nodelet, transformation, self._window).open()
+            ParametersDialog(self._monitor, nodelet, self._window).open()

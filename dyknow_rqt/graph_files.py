@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import List, Tuple
 
 from python_qt_binding.QtCore import QRectF
 from python_qt_binding.QtGui import QImage, QPainter
@@ -16,7 +15,6 @@ from python_qt_binding.QtWidgets import QFileDialog, QWidget
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.hosts import pins
 from dyknow.wiring.wiring import read_wiring, wiring_of
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import sizes_of
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.graph.changes import load_wiring
@@ -39,7 +37,6 @@ class GraphFiles:
         self, monitor: GraphMonitor, scene: GraphScene, bar: GraphBar, window: QWidget
     ) -> None:
         self._monitor, self._scene, self._window = monitor, scene, window
-        self.report = monitor.report
         bar.load.triggered.connect(self.ask_what_to_load)
         bar.save_menu.addAction("&Wiring …").triggered.connect(self.ask_where_to_save)
         bar.save_menu.addSeparator()
@@ -50,13 +47,13 @@ class GraphFiles:
     def save(self, path: str) -> None:
         """Write the nodelets, their connections and their transformations to a file."""
 
-        def write(client: BaseManagerClient) -> Tuple[int, List[str]]:
+        def write(client: BaseManagerClient) -> tuple[int, list[str]]:
             wiring, left_out = wiring_of(client.get_model(), pins(client.list_hosts()))
             with open(path, "w", encoding="utf-8") as file:
                 file.write(wiring.to_xml())
             return len(wiring.nodelets), [each.name for each in left_out]
 
-        def say(written: Tuple[int, List[str]]) -> None:
+        def say(written: tuple[int, list[str]]) -> None:
             count, left_out = written
             text = f"{count} nodelet{'' if count == 1 else 's'} saved in {path}"
             if left_out:
@@ -76,7 +73,6 @@ class GraphFiles:
             wiring = read_wiring(file.read(), path.rpartition("/")[2])
         self._monitor.do(load_wiring(wiring, path.rpartition("/")[2]))
 
-    @qt_slot
     def ask_where_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(
             self._window, "Save the wiring", "wiring.xml", _FILES
@@ -84,13 +80,11 @@ class GraphFiles:
         if path:
             self.save(path)
 
-    @qt_slot
     def ask_what_to_load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self._window, "Load a wiring", "", _FILES)
         if path:
             self.load(path)
 
-    @qt_slot
     def ask_where_to_draw(self, kind: str) -> None:
         suffix = kind.rpartition(".")[2].rstrip(")")
         dialog = QFileDialog(self._window, "Save the graph", "", kind)

@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The context menus of the graph."""
+"""The context menus of the graph, and the other programs that they open."""
 
 from __future__ import annotations
 
+import shutil
 from functools import partial
-from typing import Any, Callable, Collection, Iterable, Iterator, Sequence, Sized
+from typing import Any, Callable, Collection, Iterable, Iterator, NamedTuple, Sequence, Sized
 
+from python_qt_binding.QtCore import QProcess
 from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QMenu, QWidget
 
@@ -17,7 +19,6 @@ from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, not_ours, protect
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.selection import Selection
-from dyknow_rqt.viewers import LOG_VIEWERS, VIEWERS, add_viewers
 
 
 def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent: QWidget) -> QMenu:
@@ -49,7 +50,7 @@ def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent:
         what = "" if len(nodelets) == 1 else f" {_count(nodelets, 'nodelet')}"
         names, on = protection(nodelets, snapshot)
         text = f"&Protect{what}" if on else f"&Release{what} from protection"
-        _add(menu, text, partial(edits.protect_wanted.emit, names, on))
+        _add(menu, text, partial(edits.protect, names, on))
         foreign, kept = not_ours(nodelets, snapshot), not_destroyed(nodelets, snapshot)
         _add(menu, f"Re&start{what}", partial(edits.restart, nodelets), foreign)
         found = [snapshot.nodelet(name) for name in nodelets]
@@ -57,7 +58,7 @@ def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent:
         text = "its" if len(nodelets) == 1 else "their"
         text = f"&Isolate{what} in {text} own process" if on else f"Share a process{what}"
         _add(menu, text, partial(edits.isolate, nodelets, on), kept)
-        _add(menu, f"D&estroy{what} …", partial(edits.destroy_wanted.emit, nodelets), kept)
+        _add(menu, f"D&estroy{what} …", partial(edits.ask_to_destroy, nodelets), kept)
     named = [*nodelets, *topics, *nodes, *(edge.topic for edge in edges)]
     _add_copy(menu, dict.fromkeys(named))
     return menu
@@ -119,3 +120,57 @@ def _add(menu: QMenu, text: str, function: Callable[[], object], why_not: str = 
     action.setToolTip(why_not)
     action.triggered.connect(lambda checked=False: function())
     return action
+
+
+#: Types of messages that are images.
+IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+_TERMINAL = ("x-terminal-emulator", "-e", "rostopic", "echo")
+
+
+class Viewer(NamedTuple):
+    """A program that shows images, or everything else, or both (None).
+
+    In the words of its command ``{topic}``, ``{field}`` and ``{name}`` are replaced.
+    """
+
+    title: str
+    words: tuple[str, ...]
+    is_for_images: bool | None = None
+
+    def is_there(self) -> bool:
+        programs = ("rostopic", self.words[0]) if self.words[:4] == _TERMINAL else self.words[:1]
+        return all(shutil.which(each) for each in programs)
+
+    def start(self, topic: str, field: str, name: str) -> None:
+        """Start it; it outlives the window."""
+        field = "/" + field.replace(".", "/") if field else ""
+        words = [word.format(topic=topic, field=field, name=name) for word in self.words]
+        QProcess.startDetached(words[0], words[1:])
+
+
+VIEWERS = (
+    Viewer("rqt_image_view", ("rqt_image_view", "{topic}"), True),
+    Viewer("rqt_plot", ("rqt_plot", "{topic}{field}"), False),
+    Viewer("rostopic echo", (*_TERMINAL, "{topic}")),
+)
+LOG_VIEWERS = (
+    Viewer("rqt_console", ("rqt_console",)),
+    Viewer("rostopic echo", (*_TERMINAL, "--filter", "m.name == '{name}'", "/rosout")),
+)
+
+
+def add_viewers(
+    menu: QMenu,
+    viewers: Sequence[Viewer],
+    datatype: str = "",
+    topic: str = "",
+    field: str = "",
+    name: str = "",
+) -> None:
+    """Add the programs that show something; those that are not installed are greyed."""
+    for viewer in viewers:
+        if viewer.is_for_images in (None, datatype in IMAGES):
+            action = menu.addAction(viewer.title)
+            action.setEnabled(viewer.is_there())
+            start = partial(viewer.start, topic, field, name)
+            action.triggered.connect(lambda checked=False, start=start: start())

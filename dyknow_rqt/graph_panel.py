@@ -5,22 +5,21 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, Mapping, Optional, Sequence
+from typing import Any, Mapping, Sequence
 
-from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer, Signal
-from python_qt_binding.QtWidgets import QMenu, QVBoxLayout, QWidget
+from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer
+from python_qt_binding.QtWidgets import QMenu, QWidget
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import gap_of, sizes_of
 from dyknow_rqt.canvas.items import Item, PortItem
 from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.layout import DrawingOrder
-from dyknow_rqt.graph.moments import Difference, GraphMoment
-from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.measurements import PortRate
+from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Snapshot
 from dyknow_rqt.graph.ways import WayPart, fates_of, with_ghosts
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits
@@ -29,9 +28,10 @@ from dyknow_rqt.graph_menus import menu_of, menu_of_ground, menu_of_port
 from dyknow_rqt.layouter import Layouter
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
+from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.timeline import TimelinePanel
 from dyknow_rqt.topic_card import TopicCard
-from dyknow_rqt.widgets import Sign
+from dyknow_rqt.widgets import Sign, bare_column_in
 
 #: Milliseconds that a view must keep its size before the graph follows.
 _TURNING = 200
@@ -44,44 +44,28 @@ _RESHAPED = 1.3
 class GraphPanel(QWidget):
     """Bar, drawing, and a message when there is nothing to draw."""
 
-    #: An error, in words.
-    failed = Signal(str)
-    #: Something to know, in words.
-    noted = Signal(str)
-    #: The error no longer holds.
-    mended = Signal(str)
-
-    def __init__(self, monitor: GraphMonitor, selection: Selection) -> None:
+    def __init__(self, monitor: GraphMonitor, selection: Selection, line: StatusLine) -> None:
         super().__init__()
-        self._monitor, self._selection = monitor, selection
+        self._monitor, self._selection, self._line = monitor, selection, line
         self._is_following = False
         self._figure = Figure()
         self._has_fitted = self._wants_tidy = self._wants_move = False
         self._shape = 1.0
         self._plan: Sequence[WayPart] = ()
         self._calls = BackgroundCalls(1)
-        self._turning = QTimer(self, singleShot=True, interval=_TURNING)
-        self._turning.timeout.connect(self._turn)
+        self._turning = QTimer(self, singleShot=True, interval=_TURNING, timeout=self._turn)
         self.bar = GraphBar()
-        self.view = GraphView(self.report)
-        self.edits = GraphEdits(monitor, self.view, selection, self)
+        self.view = GraphView()
+        self.edits = GraphEdits(monitor, self.view, selection, line, self)
         self.layouter = Layouter()
         self.timeline = TimelinePanel(monitor)
         self.files = GraphFiles(monitor, self.view.scene(), self.bar, self)
         self.sign = Sign(self.view)
-        self.card = TopicCard(monitor, self.view, self.report)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.bar)
-        column.addWidget(self.view, 1)
-        column.addWidget(self.timeline)
+        self.card = TopicCard(monitor, self.view)
+        bare_column_in(self, self.bar, self.view, self.timeline).setStretch(1, 1)
         self.view.installEventFilter(self)
         self._listen()
         self._show_sign()
-
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
 
     def close_down(self) -> None:
         self._calls.close()
@@ -96,7 +80,6 @@ class GraphPanel(QWidget):
 
     # Drawing
 
-    @qt_slot
     def redraw(self) -> None:
         """Draw the changes; a new layout is made only if vertices or edges came or went."""
         past, room = self.timeline.moment, self.view.viewport().size()
@@ -127,7 +110,6 @@ class GraphPanel(QWidget):
             self._wants_tidy = self._wants_move = False
         self._show_sign()
 
-    @qt_slot
     def show_plan(self, parts: Sequence[WayPart]) -> None:
         """Draw a plan that is not made yet over the graph; none of it ends that."""
         if tuple(parts) != self._plan:
@@ -135,20 +117,17 @@ class GraphPanel(QWidget):
             self.view.scene().show_ghosts(fates_of(parts))
             self.redraw()
 
-    @qt_slot
     def tidy(self) -> None:
         """Make a new layout without regard to the old one."""
         self._wants_tidy = True
         self.redraw()
 
-    @qt_slot
     def tidy_all(self) -> None:
         """Make a new layout that forgets the places of vertices that the user has moved."""
         self.edits.places.forget()
         self.tidy()
 
-    @qt_slot
-    def _show_moment(self, moment: Optional[GraphMoment], found: Difference) -> None:
+    def _show_moment(self, moment: GraphMoment | None, found: Difference) -> None:
         """Show the graph as it was, without rates, or as it is."""
         scene, is_past = self.view.scene(), moment is not None
         scene.show_past(is_past)
@@ -158,12 +137,10 @@ class GraphPanel(QWidget):
         self._show_traffic(self._monitor.traffic)
         self.redraw()
 
-    @qt_slot
     def _show_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         seen = (traffic, self._monitor.strains) if self.timeline.moment is None else ({}, {})
         self.view.scene().set_traffic(*seen)
 
-    @qt_slot
     def _mark(self, found: Difference) -> None:
         """Mark a change, unless it is that of everything."""
         count = len(self._monitor.snapshot.nodelets)
@@ -172,27 +149,24 @@ class GraphPanel(QWidget):
         ):
             self.view.scene().marks.show(found)
 
-    @qt_slot
     def show_timeline(self, on: bool) -> None:
         self.timeline.setVisible(on)
         (self.timeline.track if on else self.view).setFocus()
 
-    @qt_slot
     def _keep_places(self) -> None:
         """Lay out again, with vertices where the user has put them."""
         self._wants_move = True
         self.redraw()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         return {**self.bar.state(), "places": self.edits.places.to_text()}
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing or invalid ones are ignored."""
         self.edits.places.read(str(state.get("places", "")))
         self.bar.restore(state)
 
-    @qt_slot
     def _turn(self) -> None:
         """Fill a view that has another shape now, with streams along its longer side."""
         room = self.view.viewport().size()
@@ -202,12 +176,10 @@ class GraphPanel(QWidget):
         if is_turned or not (is_left or 1 / _RESHAPED < change < _RESHAPED):
             self.tidy()
 
-    @qt_slot
     def find(self) -> None:
         self.bar.search.setFocus()
         self.bar.search.selectAll()
 
-    @qt_slot
     def _follow_drawing(self, drawing: Drawing) -> None:
         self._selection.keep_drawn(drawing.figure)
         self._follow_selection()
@@ -217,7 +189,6 @@ class GraphPanel(QWidget):
         self.view.keep_in_view()
         self._search()
 
-    @qt_slot
     def _show_sign(self) -> None:
         monitor, text = self._monitor, ""
         status = monitor.heart.status
@@ -234,25 +205,24 @@ class GraphPanel(QWidget):
 
     # Menus and selection
 
-    @qt_slot
-    def _show_menu(self, item: Optional[Item], place: QPoint) -> None:
+    def _show_menu(self, item: Item | None, place: QPoint) -> None:
         """Show the menu of a port, of the background, or of the selection with the item."""
         snapshot, edits = self._monitor.snapshot, self.edits
         if not self.view.is_editable:
-            self.noted.emit("this is the past; press End in the time-line to change the present")
+            self._line.note("this is the past; press End in the time-line to change the present")
             return
         if isinstance(item, PortItem):
             self._popup(menu_of_port(item.ref, snapshot, edits, self), place)
         elif item is None:
             spot = self.view.mapToScene(self.view.viewport().mapFromGlobal(place))
-            box, outer = self.view.scene().box_at(spot), self._figure.outer_groups
+            box = self.view.scene().box_at(spot)
+            outer = [group for group in self._figure.groups() if len(group) == 1]
             self._popup(menu_of_ground(edits, self.bar, box, outer), place)
         else:
             if not item.isSelected():
                 self.view.select(item)
             self.show_menu(place)
 
-    @qt_slot
     def show_menu(self, place: QPoint) -> None:
         menu = menu_of(self._selection, self._monitor.snapshot, self.edits, self)
         self._popup(menu, place)
@@ -261,31 +231,26 @@ class GraphPanel(QWidget):
         menu.setAttribute(Qt.WA_DeleteOnClose)
         menu.popup(place)
 
-    @qt_slot
     def _take_selection(self) -> None:
         """Take the selection that the user, not a change of the drawing, has selected in it."""
         if not (self._is_following or self.view.scene().slices.is_working):
             scene = self.view.scene()
-            items = (*scene.vertices.items(), *scene.edges.items())
-            self._selection.choose(key for key, item in items if item.isSelected())
+            chosen = [key for key, item in scene.things.items() if item.isSelected()]
+            self._selection.choose(chosen)
 
-    @qt_slot
     def _follow_selection(self) -> None:
-        scene, keys = self.view.scene(), self._selection.keys
-        wanted = {scene.vertices.get(key) or scene.edges.get(key) for key in keys}
+        scene = self.view.scene()
+        wanted = {item for key, item in scene.things.items() if key in self._selection.keys}
         self._is_following = True
         for item in wanted.symmetric_difference(scene.selectedItems()):
-            if item is not None:
-                item.setSelected(item in wanted)
+            item.setSelected(item in wanted)
         self._is_following = False
 
-    @qt_slot
     def _search(self) -> None:
         text = self.bar.search.text()
         hits = self.view.scene().find(text)
         self.bar.show_hits(f"{len(hits)} found" if text else "")
 
-    @qt_slot
     def _next_hit(self) -> None:
         """Select the next item that was found, and show it."""
         hits = self.view.scene().find(self.bar.search.text())
@@ -296,20 +261,16 @@ class GraphPanel(QWidget):
             self.view.reveal([hits[number]])
             self.bar.show_hits(f"{number + 1} of {len(hits)}")
 
-    @qt_slot
     def reveal_selection(self) -> None:
         """Show where in the graph the selection is."""
-        scene = self.view.scene()
-        items = (*scene.vertices.items(), *scene.edges.items())
-        self.view.reveal(item for key, item in items if key in self._selection.keys)
+        things, keys = self.view.scene().things, self._selection.keys
+        self.view.reveal(item for key, item in things.items() if key in keys)
 
-    @qt_slot
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on
 
     # Inside
 
-    @qt_slot
     def _grey(self) -> None:
         scene = self.view.scene()
         scene.set_palette(self.view.palette(), not self._monitor.is_linked)
@@ -342,8 +303,7 @@ class GraphPanel(QWidget):
         self._selection.changed.connect(self._follow_selection)
         self.layouter.ready.connect(view.scene().show_drawing)
         view.scene().shown.connect(self._follow_drawing)
-        self.layouter.failed.connect(self.failed)
-        self.edits.noted.connect(self.noted)
+        self.layouter.failed.connect(self._line.report)
         self.edits.moved.connect(self._keep_places)
         view.box_pressed.connect(bar.toggle_box)
         view.topic_pressed.connect(self.card.show_topic)
@@ -362,18 +322,16 @@ class GraphPanel(QWidget):
         bar.search.textChanged.connect(self._search)
         bar.search.returnPressed.connect(self._next_hit)
         for edit in (bar.nodelets, bar.topics):
-            edit.refused.connect(self.failed)
-            edit.mended.connect(self.mended)
+            edit.refused.connect(self._line.report)
+            edit.mended.connect(self._line.withdraw)
         self.edits.topic_wanted.connect(self.card.show_topic)
 
-    @qt_slot
-    def _ask_transports(self, nodes: FrozenSet[str]) -> None:
+    def _ask_transports(self, nodes: frozenset[str]) -> None:
         scene, remote = self.view.scene(), self._monitor.remote
         self._monitor.ask(
             lambda client: remote.transports(nodes), scene.set_transports, lambda why: None
         )
 
-    @qt_slot
     def _refresh(self) -> None:
         self._monitor.read_library()
         self._monitor.look()

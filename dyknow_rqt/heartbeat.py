@@ -11,8 +11,8 @@ from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.model.streams import StreamStatus
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
-from dyknow_rqt.graph.contact import Contact
+from dyknow_rqt.background_calls import BackgroundCalls
+from dyknow_rqt.graph.health import Contact
 from dyknow_rqt.remote import Remote
 
 #: Milliseconds from beat to beat, and beats from question to question.
@@ -52,12 +52,10 @@ class Heartbeat(QObject):
         self._timer.stop()
         self._calls.close()
 
-    @qt_slot
     def list_streams(self) -> None:
         """Ask the manager for its claims, again after a running call: its answer may be older."""
         self._calls.run_once("the claims", self._ask_manager, self.listed.emit, again=True)
 
-    @qt_slot
     def _beat(self) -> None:
         self._tell()
         if self._beats % _BEATS == 0:

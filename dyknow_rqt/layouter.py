@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 from python_qt_binding.QtCore import QObject, QProcess, QTimer, Signal
 
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.geometry import Drawing, Layout
 from dyknow_rqt.graph.layout import (
     BadLayout,
@@ -38,7 +38,7 @@ class _Plan:
     """An order with its parts, and what graphviz is given for each of them."""
 
     order: DrawingOrder
-    parts: Tuple[Piece, ...]
+    parts: tuple[Piece, ...]
     texts: Mapping[Piece, str]
 
 
@@ -59,21 +59,20 @@ class Layouter(QObject):
         self._program = program
         self._budget = budget
         self._calls = BackgroundCalls(1)
-        self._next: Optional[DrawingOrder] = None
-        self._plan: Optional[_Plan] = None
+        self._next: DrawingOrder | None = None
+        self._plan: _Plan | None = None
         self._is_busy = False
         #: Whether an order that is not laid out as a whole is to be anew.
         self._is_anew = False
         #: What graphviz was given, with the layout; None if it failed.
-        self._made: Dict[str, Optional[Layout]] = {}
+        self._made: dict[str, Layout | None] = {}
         #: Parts that it lays out now, with their texts.
-        self._running: List[Tuple[Piece, str]] = []
+        self._running: list[tuple[Piece, str]] = []
         self._is_unwanted = False
         self._drawing = Drawing()
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
-        self._waiting = QTimer(self, singleShot=True, interval=_WAITING)
-        self._waiting.timeout.connect(self._arrange)
+        self._waiting = QTimer(self, singleShot=True, interval=_WAITING, timeout=self._arrange)
 
     def lay_out(self, order: DrawingOrder) -> None:
         """Lay a figure out, then emit ``ready``, more than once if graphviz takes long."""
@@ -94,9 +93,6 @@ class Layouter(QObject):
             self._process.kill()
             self._process.waitForFinished(1000)
 
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
-
     def _begin(self) -> None:
         order = self._next
         if order is not None and not self._is_busy:
@@ -114,7 +110,7 @@ class Layouter(QObject):
         self._go_on()
 
     @property
-    def _missing(self) -> List[Tuple[Piece, str]]:
+    def _missing(self) -> list[tuple[Piece, str]]:
         """What graphviz has yet to lay out: all small parts, or else one that is large."""
         texts = self._plan.texts.items() if self._plan is not None else ()
         found = [(part, text) for part, text in texts if text not in self._made]
@@ -135,14 +131,13 @@ class Layouter(QObject):
                 self._process.write(text.replace(_TITLE, f"digraph g{number} {{", 1).encode())
             self._process.closeWriteChannel()
 
-    @qt_slot
     def _finished(self) -> None:
         answer, running = bytes(self._process.readAllStandardOutput()), self._running
         self._process.readAllStandardError()
         is_crash = self._process.exitStatus() == QProcess.CrashExit
         is_there = is_crash or self._process.exitCode() != _NOT_FOUND
 
-        def take(made: Dict[str, Optional[Layout]]) -> None:
+        def take(made: dict[str, Layout | None]) -> None:
             self._running, self._is_unwanted = [], False
             if None in made.values():
                 why = "cannot be run; is graphviz installed?"
@@ -160,7 +155,6 @@ class Layouter(QObject):
         else:
             self._calls.run(lambda: _read(answer, running), take, give_up)
 
-    @qt_slot
     def _arrange(self) -> None:
         """Arrange the finished layouts, and all else as well as it goes without graphviz."""
         plan = self._plan
@@ -201,10 +195,10 @@ def _planned(order: DrawingOrder) -> _Plan:
     return _Plan(order, parts, texts)
 
 
-def _read(answer: bytes, running: Sequence[Tuple[Piece, str]]) -> Dict[str, Optional[Layout]]:
+def _read(answer: bytes, running: Sequence[tuple[Piece, str]]) -> dict[str, Layout | None]:
     """Read the layouts of some parts by their texts; None for one that graphviz has not made."""
     graphs: Mapping[str, Any] = read_graphs(answer.decode("utf-8", "replace"))
-    made: Dict[str, Optional[Layout]] = {}
+    made: dict[str, Layout | None] = {}
     for number, (part, text) in enumerate(running):
         try:
             made[text] = read_layout(graphs.get(f"g{number}"), part.figure)

@@ -6,12 +6,9 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
-from types import TracebackType
-from typing import List, Optional, Type
 
 from python_qt_binding.QtCore import QSettings, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication, QMainWindow
@@ -19,8 +16,6 @@ from rosgraph import myargv
 
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget, spare_imports
-
-_LOG = logging.getLogger("rosout.dyknow_rqt")
 
 
 class DyKnowWindow(QMainWindow):
@@ -51,7 +46,7 @@ def _has_screen() -> bool:
     return not sys.platform.startswith("linux") or any(map(os.environ.get, given))
 
 
-def main(argv: Optional[List[str]] = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the window until it is closed; returns the exit code."""
     words = myargv(argv if argv is not None else sys.argv)
     parser = argparse.ArgumentParser(
@@ -75,15 +70,6 @@ def main(argv: Optional[List[str]] = None) -> int:
     application.setApplicationName("DyKnow")
     widget = DyKnowWidget(RosRemote(arguments.manager))
     window = DyKnowWindow(widget, QSettings("dyknow", "dyknow_rqt"))
-
-    def survive(
-        kind: Type[BaseException], error: BaseException, trace: Optional[TracebackType]
-    ) -> None:
-        # Without a hook PyQt aborts the process when an exception leaves a slot.
-        _LOG.error("not caught", exc_info=(kind, error, trace))
-        widget.line.report(f"{kind.__name__}: {error}")
-
-    sys.excepthook = survive
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *unused: window.close())
     # Python runs signal handlers only between its own instructions: a timer executes some.

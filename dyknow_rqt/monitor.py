@@ -9,49 +9,30 @@ thread of the window only; everything that may block is called in the background
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from dataclasses import replace
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Callable,
-    Deque,
-    Dict,
-    FrozenSet,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-    TypeVar,
-)
+from typing import Any, Callable, FrozenSet, Sequence, Tuple, TypeVar
 
 from python_qt_binding.QtCore import QObject, QTimer, Signal
 
 from dyknow.errors import DyKnowError, Refused
+from dyknow.formulas import Verdict
 from dyknow.manager.steps import CannotUndo
 from dyknow.model.client import BaseManagerClient
-from dyknow.model.graph import PortRef, State
-from dyknow.model.streams import ClaimState
+from dyknow.model.graph import Model, PortRef, State
+from dyknow.model.statistics import NodeletCount
+from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.model.transformation import Transformation
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
-from dyknow_rqt.graph.rates import Meter, PortRate, Strain
+from dyknow_rqt.graph.measurements import Meter, PortRate, Strain, port_verdicts, verdict_sources
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
-from dyknow_rqt.graph.verdicts import port_verdicts, verdict_sources
 from dyknow_rqt.heartbeat import Heartbeat
 from dyknow_rqt.remote import Remote
 
-if TYPE_CHECKING:
-    from dyknow.formulas import Verdict
-    from dyknow.model.graph import Model
-    from dyknow.model.statistics import NodeletCount
-    from dyknow.model.streams import StreamStatus
-
 T = TypeVar("T")
 
-_LOG = logging.getLogger("rosout.dyknow_rqt")
 #: Milliseconds from look to look.
 _PERIOD = 1000
 #: Milliseconds for which verdicts are gathered before they are shown.
@@ -62,7 +43,7 @@ _SELDOM = 20
 
 #: Findings of a look: the link to the manager when it began, the model, ordinary nodes, the topics
 #: that are taken.
-_Look = Tuple[int, "Model", Tuple[PlainNode, ...], FrozenSet[str]]
+_Look = Tuple[int, Model, Tuple[PlainNode, ...], FrozenSet[str]]
 
 
 class GraphMonitor(QObject):
@@ -96,8 +77,8 @@ class GraphMonitor(QObject):
         self.remote = remote
         self._client = remote.client
         self.snapshot = Snapshot()
-        self.library: Dict[str, Transformation] = {}
-        self.streams: Tuple[StreamStatus, ...] = ()
+        self.library: dict[str, Transformation] = {}
+        self.streams: tuple[StreamStatus, ...] = ()
         self.heart = Heartbeat(remote)
         self.heart.linked.connect(self._follow_link)
         self.heart.listed.connect(self._take_streams)
@@ -105,7 +86,7 @@ class GraphMonitor(QObject):
             signal.connect(self.heart.list_streams)
         self.history = UndoHistory()
         #: Nodelets and their transformations; whether the next model may be another manager's.
-        self._made: Set[Tuple[str, str]] = set()
+        self._made: set[tuple[str, str]] = set()
         self._is_another = False
         #: How often the manager, or another one, has begun to answer.
         self._link = 0
@@ -114,14 +95,14 @@ class GraphMonitor(QObject):
         self._revision = -1
         self._library_revision = -1
         self._changing = False
-        self._waiting: Deque[Callable[[], None]] = deque()
-        self._system: Tuple[Side, Side] = ((), ())
+        self._waiting: deque[Callable[[], None]] = deque()
+        self._system: tuple[Side, Side] = ((), ())
         self._system_due = 0.0
         self._timer = QTimer(self, interval=_PERIOD, timeout=self.look)
-        self._heard: Optional[Model] = None
+        self._heard: Model | None = None
         self._drawing = QTimer(self, interval=0, singleShot=True, timeout=self._take_heard)
         #: The last verdicts by topic, None before the first one.
-        self._verdicts: Dict[str, Optional[Verdict]] = {}
+        self._verdicts: dict[str, Verdict | None] = {}
         self._gathering = QTimer(
             self, interval=_GATHERING, singleShot=True, timeout=self._tell_verdicts
         )
@@ -150,12 +131,12 @@ class GraphMonitor(QObject):
         return self.heart.status.is_current
 
     @property
-    def traffic(self) -> Dict[PortRef, PortRate]:
+    def traffic(self) -> dict[PortRef, PortRate]:
         """The traffic of ports, as it was measured last."""
         return dict(self._meter.traffic)
 
     @property
-    def strains(self) -> Dict[str, Strain]:
+    def strains(self) -> dict[str, Strain]:
         """The loads that make nodelets stand out, by name."""
         return dict(self._meter.strains)
 
@@ -164,18 +145,13 @@ class GraphMonitor(QObject):
         """Whether a change is under way, or waits for that or for the graph to be read."""
         return self._changing or bool(self._waiting)
 
-    def stream(self, claim_id: str) -> Optional[StreamStatus]:
+    def stream(self, claim_id: str) -> StreamStatus | None:
         return next((each for each in self.streams if each.claim_id == claim_id), None)
 
-    def report(self, text: str) -> None:
-        self.failed.emit(text)
-
-    @qt_slot
     def look(self) -> None:
         """Read everything now, unless that is under way."""
         self._calls.run_once("the graph", lambda: self._looked(self.remote.graph), self._take_look)
 
-    @qt_slot
     def read_library(self) -> None:
         link = self._link
         self._calls.run_once(
@@ -186,16 +162,13 @@ class GraphMonitor(QObject):
         self,
         question: Callable[[BaseManagerClient], T],
         then: Callable[[T], None],
-        failed: Optional[Callable[[str], None]] = None,
+        failed: Callable[[str], None] | None = None,
     ) -> None:
-        """Call the remote side in the background.
+        """Ask the remote side in the background, and take the answer in the thread of the window.
 
-        Args:
-            question: may block.
-            then: called in the thread of the window with the answer.
-            failed: called there with the error in words; by default it is reported.
+        There ``failed`` takes the error in words; by default it is reported.
         """
-        say = failed or self.report
+        say = failed or self.failed.emit
         if self.is_linked:
             self._calls.run(lambda: question(self._client), then, lambda error: say(_words(error)))
         else:
@@ -204,9 +177,7 @@ class GraphMonitor(QObject):
     def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
         """Make a change after those before it; it can be undone if there is a way back.
 
-        Args:
-            change: what to do.
-            then: called in the thread of the window when it has been done.
+        ``then`` is called in the thread of the window when it has been done.
         """
 
         def note(done: DoneChange) -> None:
@@ -219,11 +190,14 @@ class GraphMonitor(QObject):
 
         self._in_turn(change.text, begin)
 
-    @qt_slot
+    def do_in_turn(self, changes: Sequence[Change]) -> None:
+        """Make changes one after the other, up to the first that is refused."""
+        if changes:
+            self.do(changes[0], lambda: self.do_in_turn(changes[1:]))
+
     def undo(self) -> None:
         self._in_turn("undo", self._undo)
 
-    @qt_slot
     def redo(self) -> None:
         self._in_turn("redo", self._redo)
 
@@ -269,11 +243,10 @@ class GraphMonitor(QObject):
 
     def _go_on(self) -> None:
         while self._waiting and not self._must_wait:
-            self._begin_next()
-
-    @qt_slot
-    def _begin_next(self) -> None:
-        self._waiting.popleft()()
+            try:
+                self._waiting.popleft()()
+            except CannotUndo as error:  # that holds up nothing
+                self.failed.emit(str(error))
 
     def _present(self) -> Present:
         return Present(self._client, self.snapshot, dict(self.library))
@@ -290,7 +263,7 @@ class GraphMonitor(QObject):
         ``no_way`` is called if it was refused, but not if nothing answered.
         """
 
-        def work() -> Tuple[DoneChange, Optional[_Look]]:
+        def work() -> tuple[DoneChange, _Look | None]:
             done = job()
             try:
                 return done, self._looked(self._whole_graph)
@@ -311,7 +284,7 @@ class GraphMonitor(QObject):
             self.look()
             self._go_on()
 
-        def made(result: Tuple[DoneChange, Optional[_Look]]) -> None:
+        def made(result: tuple[DoneChange, _Look | None]) -> None:
             done, look = result
             self._is_another = False  # it has made the change that was sent before its link
             if look is not None:
@@ -353,7 +326,7 @@ class GraphMonitor(QObject):
             pass  # the master's last state is shown
         return link, model, nodes, taken
 
-    def _system_state(self) -> Tuple[Side, Side]:
+    def _system_state(self) -> tuple[Side, Side]:
         """Ask the master, unless its answers took a large part of the time; in the background."""
         start = time.monotonic()
         if start >= self._system_due:
@@ -385,7 +358,6 @@ class GraphMonitor(QObject):
             if not self._drawing.isActive():
                 self._drawing.start()
 
-    @qt_slot
     def _take_heard(self) -> None:
         model, self._heard = self._heard, None
         if model is None:
@@ -395,7 +367,7 @@ class GraphMonitor(QObject):
         self._drawing.setInterval(min(1000, int((time.monotonic() - start) * 2000)))
 
     def _take_model(
-        self, model: Model, nodes: Tuple[PlainNode, ...], taken: FrozenSet[str]
+        self, model: Model, nodes: tuple[PlainNode, ...], taken: frozenset[str]
     ) -> None:
         self._revision = model.revision
         made = {(each.name, each.transformation) for each in model.nodelets}
@@ -441,13 +413,9 @@ class GraphMonitor(QObject):
     def _tell_rates(self) -> None:
         """Tell the rates of connected ports of nodelets that run, if the manager answers."""
         nodelets = self.snapshot.nodelets if self.is_linked else ()
-        ports = [
-            (PortRef(each.name, port.name), port.topic)
-            for each in nodelets
-            for port in each.ports
-            if each.state is State.RUNNING
-        ]
-        self._meter.keep({ref: topic for ref, topic in ports if topic})
+        running = [each for each in nodelets if each.state is State.RUNNING]
+        ports = ((each.name, port) for each in running for port in each.ports if port.topic)
+        self._meter.keep({PortRef(name, port.name): port.topic for name, port in ports})
         self.measured.emit(self.traffic)
 
     def _follow_verdicts(self) -> None:
@@ -467,7 +435,6 @@ class GraphMonitor(QObject):
         if not self._gathering.isActive():
             self._gathering.start()
 
-    @qt_slot
     def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
         if tuple(streams) == self.streams:
             return
@@ -478,12 +445,10 @@ class GraphMonitor(QObject):
         self._take_snapshot(replace(self.snapshot, pending=tuple(sorted(pending.items()))))
         self.streams_changed.emit()
 
-    @qt_slot
     def _tell_verdicts(self) -> None:
         nodelets = self.snapshot.nodelets
         self.decided.emit(port_verdicts(nodelets, self._verdicts, self.streams))
 
-    @qt_slot
     def _follow_link(self, is_linked: bool) -> None:
         """Read everything of a manager that answers again: it may be another one."""
         if is_linked:

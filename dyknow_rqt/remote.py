@@ -9,7 +9,7 @@ The real one is ``ros_remote``; ``simulated`` stands beside it, for tests and pi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import AbstractSet, Callable, Collection, Sequence, Tuple
+from typing import AbstractSet, Callable, Collection, Sequence
 
 from dyknow.formulas import Verdict
 from dyknow.model.client import BaseManagerClient
@@ -56,7 +56,7 @@ class Remote(ABC):
         """Listen to the model, events of streams and counts."""
 
     @abstractmethod
-    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+    def follow_verdicts(self, sources: AbstractSet[tuple[str, str]]) -> None:
         """Listen to the verdicts of these nodes on these topics alone.
 
         It returns at once, and is called after ``start`` in the thread of the window.
@@ -66,18 +66,9 @@ class Remote(ABC):
     def follow(
         self, topic: str, datatype: str, node: str, on_sample: Callable[[Sample], None]
     ) -> Callable[[], None]:
-        """Listen to a topic of a node, and hand on its messages, reduced.
+        """Listen to a topic of a node, and hand on its messages, reduced, at most five a second.
 
-        At most five a second are handed on, in any thread.
-
-        Args:
-            topic: global name.
-            datatype: its ROS type; empty if unknown.
-            node: publishes it.
-            on_sample: takes the reduced messages.
-
-        Returns:
-            A function that stops listening, at once.
+        The type is empty if it is unknown. Returns a function that stops listening, at once.
         """
 
     @abstractmethod
@@ -89,15 +80,14 @@ class Remote(ABC):
         """Return the graph, as it was received last or else as the manager answers."""
 
     @abstractmethod
-    def system_state(self) -> Tuple[Side, Side]:
+    def system_state(self) -> tuple[Side, Side]:
         """Ask the master for the publishers and subscribers of all topics."""
 
     @abstractmethod
     def find_manager(self) -> str:
         """Ask the master for the manager's address, and turn to the manager that is there.
 
-        Returns:
-            The address; empty if the master does not know the manager.
+        The address is empty if the master does not know the manager.
         """
 
     @abstractmethod

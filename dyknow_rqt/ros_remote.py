@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import AbstractSet, Any, Callable, Collection, Dict, List, Optional, Tuple
+from typing import AbstractSet, Any, Callable, Collection
 
 from dyknow_msgs.msg import Counts as CountsMessage
 from dyknow_msgs.msg import Model as ModelMessage
@@ -52,20 +52,20 @@ class RosRemote(Remote):
         self.client: ManagerClient = ManagerClient(manager, caller)
         self._service = names.join(self.manager, "list_streams")
         self._address = ""
-        self._latest: Optional[Model] = None
+        self._latest: Model | None = None
         self._models = self._follower("model", ModelMessage, self._hear)
         counts = self._follower("counts", CountsMessage, lambda m: self.on_counts(counts_from(m)))
         events = self._follower(
             "stream_events", StreamEventMessage, lambda m: self.on_event(event_from(m)), False
         )
         self._followers = (self._models, counts, events)
-        self._verdicts: Dict[Tuple[str, str], TopicFollower] = {}
+        self._verdicts: dict[tuple[str, str], TopicFollower] = {}
 
     def start(self) -> None:
         for follower in self._followers:
             follower.start()
 
-    def follow_verdicts(self, sources: AbstractSet[Tuple[str, str]]) -> None:
+    def follow_verdicts(self, sources: AbstractSet[tuple[str, str]]) -> None:
         for source in self._verdicts.keys() - sources:
             self._verdicts.pop(source).close()
         for node, topic in sources - self._verdicts.keys():
@@ -103,7 +103,7 @@ class RosRemote(Remote):
             return self.client.get_model()
         return latest
 
-    def system_state(self) -> Tuple[Side, Side]:
+    def system_state(self) -> tuple[Side, Side]:
         publishers, subscribers, _ = self._master.ask("getSystemState")
         return publishers, subscribers
 
@@ -120,7 +120,7 @@ class RosRemote(Remote):
         return address
 
     def transports(self, nodes: Collection[str]) -> Transports:
-        found: Dict[Tuple[str, str, str], List[str]] = {}
+        found: dict[tuple[str, str, str], list[str]] = {}
         for node in nodes:
             found.update(self._master.transports(node, _PATIENCE))
         return found

@@ -13,7 +13,7 @@ import math
 import os
 import sys
 import time
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPointF, Qt
 from python_qt_binding.QtGui import QColor, QFontDatabase, QMouseEvent, QPalette
@@ -22,10 +22,9 @@ from python_qt_binding.QtWidgets import QApplication, QStyleFactory
 
 from dyknow.model.graph import PortRef
 from dyknow.model.streams import StreamRequest
-from dyknow_rqt.example_graphs import soccer, tree
 from dyknow_rqt.graph.figure import Boxes
 from dyknow_rqt.graph.samples import Sample
-from dyknow_rqt.simulated import SimulatedRemote
+from dyknow_rqt.simulated import SimulatedRemote, soccer, tree
 from dyknow_rqt.window import DyKnowWidget
 
 #: Does something with a window and its manager; its name is that of the picture.
@@ -71,7 +70,7 @@ def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
         QTest.qWait(20)
 
 
-def main(argv: Optional[List[str]] = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Take all pictures; returns the exit code."""
     parser = argparse.ArgumentParser("python3 -m dyknow_rqt.screenshots", description=__doc__)
     parser.add_argument(

@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterable, List, Union
+from typing import Iterable, Union
 
 from python_qt_binding.QtCore import QObject, Signal
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.monitor import GraphMonitor
@@ -19,14 +18,11 @@ Key = Union[str, Edge]
 
 
 class Selection(QObject):
-    """Selected vertices and arrows, and claims.
+    """Selected vertices and arrows, by their keys, and claims.
 
     With a claim its nodelets are selected, after each repair those that it has then. Nodelets that
-    are not drawn, but are in a table, stay selected; all else has to be seen.
-
-    Attributes:
-        keys: of vertices and arrows.
-        claims: ids; empty if something else than rows of streams was selected last.
+    are not drawn, but are in a table, stay selected; all else has to be seen. There are no claims
+    if something else than rows of streams was selected last.
     """
 
     #: Something else is selected now.
@@ -35,23 +31,23 @@ class Selection(QObject):
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
         self._monitor = monitor
-        self.keys: FrozenSet[Key] = frozenset()
-        self.claims: FrozenSet[str] = frozenset()
+        self.keys: frozenset[Key] = frozenset()
+        self.claims: frozenset[str] = frozenset()
         monitor.changed.connect(self._follow_graph)
         monitor.streams_changed.connect(self._follow_streams)
 
     @property
-    def nodelets(self) -> List[str]:
+    def nodelets(self) -> list[str]:
         return self.names(VertexKind.NODELET)
 
-    def names(self, kind: VertexKind) -> List[str]:
+    def names(self, kind: VertexKind) -> list[str]:
         """Names of the selected vertices of a kind, sorted."""
         start = key_of(kind, "")
         texts = (key for key in self.keys if not isinstance(key, Edge))
         return sorted(key[len(start) :] for key in texts if key.startswith(start))
 
     @property
-    def edges(self) -> List[Edge]:
+    def edges(self) -> list[Edge]:
         return sorted(key for key in self.keys if isinstance(key, Edge))
 
     def choose(self, keys: Iterable[Key], claims: Iterable[str] = ()) -> None:
@@ -60,11 +56,9 @@ class Selection(QObject):
             self.keys, self.claims = chosen
             self.changed.emit()
 
-    @qt_slot
     def choose_nodelets(self, names: Iterable[str]) -> None:
         self.choose(key_of(VertexKind.NODELET, name) for name in names)
 
-    @qt_slot
     def choose_claims(self, claims: Iterable[str]) -> None:
         """Select claims with their nodelets, and nothing else."""
         streams = [stream for stream in map(self._monitor.stream, claims) if stream is not None]
@@ -81,7 +75,6 @@ class Selection(QObject):
             (k for k in self.keys if k in drawn or str(k).startswith(nodelet)), self.claims
         )
 
-    @qt_slot
     def _follow_graph(self, snapshot: Snapshot) -> None:
         if not self.claims:
             gone = {
@@ -91,7 +84,6 @@ class Selection(QObject):
             }
             self.choose(self.keys - gone)
 
-    @qt_slot
     def _follow_streams(self) -> None:
         if self.claims:
             self.choose_claims(self.claims)

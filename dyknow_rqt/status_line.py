@@ -6,36 +6,75 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import sys
+import traceback
+import weakref
 from collections import Counter
-from typing import Any, Callable, List, Optional
+from functools import partial
+from types import TracebackType
+from typing import Any, Callable
 
 from python_qt_binding.QtCore import QEvent, Qt, QTimer, Signal
 from python_qt_binding.QtGui import QKeySequence, QPalette
 from python_qt_binding.QtWidgets import (
     QAction,
     QApplication,
-    QHBoxLayout,
     QLabel,
     QPushButton,
     QSizePolicy,
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
+from dyknow.errors import DyKnowError
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.graph.contact import Status
-from dyknow_rqt.graph.health import Ill, ills_of
+from dyknow_rqt.graph.filters import BadFilter
+from dyknow_rqt.graph.health import Ill, Status, ills_of
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.widgets import wrapped
+from dyknow_rqt.widgets import row_of, wrapped
 
+_LOG = logging.getLogger("rosout.dyknow_rqt")
 _NOTE_TIME = 6000  # ms
+#: Those of the windows of this process.
+_LINES: weakref.WeakSet[StatusLine] = weakref.WeakSet()
+
+
+def _survive(
+    before: Callable[..., object],
+    kind: type[BaseException],
+    error: BaseException,
+    trace: TracebackType | None,
+) -> None:
+    """Show an error that has left a slot; without a hook PyQt aborts the process, be it rqt.
+
+    Expected errors are shown in their own words, others with their type, and logged. Those of
+    other parts of this process, and those that end it, are left to the hook before this one.
+    """
+    frames = [frame for frame, _ in traceback.walk_tb(trace)]
+    is_ours = any(f.f_globals.get("__name__", "").startswith("dyknow_rqt.") for f in frames)
+    is_end = not frames or frames[0].f_code.co_name == "<module>"
+    if is_end or not is_ours or not isinstance(error, Exception):
+        before(kind, error, trace)
+        return
+    text = str(error)
+    if not isinstance(error, (DyKnowError, BadFilter, OSError)):
+        _LOG.error("not caught", exc_info=(kind, error, trace))
+        text = f"{kind.__name__} in {frames[0].f_code.co_name}: {error}"
+    for line in list(_LINES):
+        with contextlib.suppress(RuntimeError):  # Qt has taken the window apart
+            line.report(text)
 
 
 class StatusLine(QWidget):
-    """Shows errors until they are dismissed or something succeeds, without dialogs."""
+    """Shows errors until they are dismissed or something succeeds, without dialogs.
+
+    Also those that leave a slot of the window.
+    """
 
     def __init__(self) -> None:
         super().__init__()
+        _LINES.add(self)
+        sys.excepthook = partial(_survive, sys.excepthook)
         self._text = QLabel(wordWrap=True, textFormat=Qt.PlainText, accessibleName="Message")
         self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
@@ -43,19 +82,17 @@ class StatusLine(QWidget):
         self.yes = QPushButton(clicked=self._confirm)
         self.no = QPushButton("Cancel", clicked=self.clear)
         self.dismiss = QPushButton("Dismiss", clicked=self.clear)
-        row = QHBoxLayout(self)
+        row = row_of(self._text, self.yes, self.no, self.dismiss, self.contact)
         row.setContentsMargins(6, 2, 6, 2)
-        row.addWidget(self._text, 1)
-        for button in (self.yes, self.no, self.dismiss):
-            row.addWidget(button)
-        row.addWidget(self.contact)
+        row.setStretch(0, 1)
+        self.setLayout(row)
         #: Declines the question of the line, or dismisses its message; works in the whole window.
         self.decline = QAction(self, shortcut=QKeySequence(Qt.Key_Escape), triggered=self.clear)
         self.decline.setShortcutContext(Qt.WidgetWithChildrenShortcut)
-        self._asked_in: Optional[QWidget] = None
+        self._asked_in: QWidget | None = None
         self._full = ""
-        self._status: Optional[Status] = None
-        self._answer: Optional[Callable[[], None]] = None
+        self._status: Status | None = None
+        self._answer: Callable[[], None] | None = None
         self._timer = QTimer(self, interval=_NOTE_TIME, singleShot=True, timeout=self.clear)
         self.clear()
 
@@ -87,7 +124,6 @@ class StatusLine(QWidget):
             self._show(text, alarm=False)
             self._timer.start()
 
-    @qt_slot
     def show_status(self, status: Status) -> None:
         self._status = status
         self.contact.setText(status.short if status.is_sound else f"⚠ {status.short}")
@@ -107,13 +143,11 @@ class StatusLine(QWidget):
         self.no.show()
         self.yes.setFocus()
 
-    @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange and self._status is not None:
             self.show_status(self._status)
 
-    @qt_slot
     def clear(self) -> None:
         """Empty the line; the focus returns to where it was before a question."""
         if self._asked_in is not None and (self.yes.hasFocus() or self.no.hasFocus()):
@@ -128,7 +162,6 @@ class StatusLine(QWidget):
         for button in (self.yes, self.no, self.dismiss):
             button.hide()
 
-    @qt_slot
     def _confirm(self) -> None:
         answer = self._answer
         self.clear()
@@ -157,8 +190,8 @@ class HealthLabel(QLabel):
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
         self._monitor = monitor
-        self._ills: List[Ill] = []
-        self._last: Optional[Ill] = None
+        self._ills: list[Ill] = []
+        self._last: Ill | None = None
         self.setTextInteractionFlags(Qt.LinksAccessibleByMouse | Qt.LinksAccessibleByKeyboard)
         self.setAccessibleName("What is not well")
         self.linkActivated.connect(self.lead)
@@ -167,7 +200,6 @@ class HealthLabel(QLabel):
             signal.connect(self._look)
         self.hide()
 
-    @qt_slot
     def lead(self, word: str) -> None:
         """Lead to the next one of a word, or the next one at all."""
         ills = [ill for ill in self._ills if word in ("", ill.word)]
@@ -176,17 +208,11 @@ class HealthLabel(QLabel):
             self._last = ills[number % len(ills)]
             self.wanted.emit(self._last)
 
-    @qt_slot
-    def next(self) -> None:
-        self.lead("")
-
-    @qt_slot
     def changeEvent(self, event: QEvent) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
             self._show()
 
-    @qt_slot
     def _look(self) -> None:
         """Show nothing while it may be old."""
         monitor, ills = self._monitor, []

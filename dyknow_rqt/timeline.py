@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any
 
 from python_qt_binding.QtCore import QRectF, Qt, Signal
 from python_qt_binding.QtGui import QColor, QPainter, QPen
 from python_qt_binding.QtWidgets import QLabel, QWidget
 
 from dyknow.model.streams import ClaimState
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
+from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, difference
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.widgets import bare_column_in, wrapped
 
@@ -34,13 +33,12 @@ class MomentTrack(QWidget):
     #: Another moment is chosen.
     chosen = Signal()
 
-    def __init__(self, moments: Moments, report: Callable[[str], None]) -> None:
+    def __init__(self, moments: Moments) -> None:
         super().__init__()
-        self.report = report
         self._moments = moments
         #: The chosen moment and the one it is compared with; None for the present.
-        self.moment: Optional[GraphMoment] = None
-        self.anchor: Optional[GraphMoment] = None
+        self.moment: GraphMoment | None = None
+        self.anchor: GraphMoment | None = None
         self.setFocusPolicy(Qt.StrongFocus)
         self.setAccessibleName("Time-line")
         self.setToolTip(
@@ -48,7 +46,7 @@ class MomentTrack(QWidget):
             "with Shift to compare with another moment; End: now"
         )
 
-    def choose(self, moment: Optional[GraphMoment], is_anchor: bool = False) -> None:
+    def choose(self, moment: GraphMoment | None, is_anchor: bool = False) -> None:
         """Show a moment; the last one is the present."""
         every = self._moments.all
         moment = None if every and moment is every[-1] else moment
@@ -60,9 +58,9 @@ class MomentTrack(QWidget):
         self.update()
         self.chosen.emit()
 
-    def lanes(self) -> List[Tuple[str, str]]:
+    def lanes(self) -> list[tuple[str, str]]:
         """Ids and tags of the claims whose states are shown: the latest."""
-        found: Dict[str, str] = {}
+        found: dict[str, str] = {}
         for moment in self._moments.all:
             found.update((each.claim_id, each.bound_tag) for each in moment.streams)
         return list(found.items())[-_LANES:]
@@ -75,7 +73,6 @@ class MomentTrack(QWidget):
             self.choose(None)
         self.update()
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         colours, every = colours_of(self.palette()), list(self._moments.all)
         painter = QPainter(self)
@@ -111,7 +108,6 @@ class MomentTrack(QWidget):
         count = max(len(self._moments.all) - 1, 1)
         return float(_MARGIN + min(number / count, 1.0) * (self.width() - 2 * _MARGIN))
 
-    @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         every = self._moments.all
         if every:
@@ -119,11 +115,9 @@ class MomentTrack(QWidget):
             nearest = min(numbers, key=lambda number: abs(self._x(number) - event.pos().x()))
             self.choose(every[nearest], bool(event.modifiers() & Qt.ShiftModifier))
 
-    @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         self.mousePressEvent(event)
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         steps = {Qt.Key_Left: -1, Qt.Key_Right: 1, Qt.Key_Home: -(10**6), Qt.Key_End: 10**6}
         every, step = list(self._moments.all), steps.get(event.key())
@@ -146,10 +140,9 @@ class TimelinePanel(QWidget):
 
     def __init__(self, monitor: GraphMonitor) -> None:
         super().__init__()
-        self.report = monitor.report
         self._monitor = monitor
         self.moments = Moments()
-        self.track = MomentTrack(self.moments, monitor.report)
+        self.track = MomentTrack(self.moments)
         self.words = QLabel()
         bare_column_in(self, self.words, self.track).setContentsMargins(0, 0, 0, 2)
         self.words.setMinimumWidth(1)
@@ -160,11 +153,10 @@ class TimelinePanel(QWidget):
         self.hide()
 
     @property
-    def moment(self) -> Optional[GraphMoment]:
+    def moment(self) -> GraphMoment | None:
         """The moment that is shown; None for the present."""
         return self.track.moment
 
-    @qt_slot
     def _note(self) -> None:
         before = self.moments.all[-1] if self.moments.all else None
         monitor = self._monitor
@@ -178,7 +170,6 @@ class TimelinePanel(QWidget):
             if self.isVisible():
                 self._say()
 
-    @qt_slot
     def _tell(self) -> None:
         self._say()
         self.wanted.emit(self.moment, self._difference())
@@ -210,12 +201,10 @@ class TimelinePanel(QWidget):
         self.words.setText(self.words.fontMetrics().elidedText(text, Qt.ElideRight, room))
         self.words.setToolTip(wrapped("\n".join(lines)))
 
-    @qt_slot
     def showEvent(self, event: Any) -> None:  # noqa: N802
         super().showEvent(event)
         self._say()
 
-    @qt_slot
     def hideEvent(self, event: Any) -> None:  # noqa: N802
         """Return to the present."""
         super().hideEvent(event)

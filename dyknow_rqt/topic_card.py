@@ -8,34 +8,19 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 from python_qt_binding.QtCore import QPointF, QRect, QSize, Qt, QTimer
-from python_qt_binding.QtGui import (
-    QFontMetrics,
-    QImage,
-    QPainter,
-    QPalette,
-    QPen,
-    QPixmap,
-    QPolygonF,
-)
-from python_qt_binding.QtWidgets import (
-    QComboBox,
-    QGraphicsView,
-    QLabel,
-    QMenu,
-    QToolButton,
-    QWidget,
-)
+from python_qt_binding.QtGui import QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
+from python_qt_binding.QtWidgets import QComboBox, QLabel, QMenu, QToolButton, QWidget
 
 from dyknow.model.graph import PortRef, State
-from dyknow_rqt.background_calls import BackgroundCalls, qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import colours_of
-from dyknow_rqt.canvas.view import topic_of
+from dyknow_rqt.canvas.view import GraphView, topic_of
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
+from dyknow_rqt.graph_menus import VIEWERS, add_viewers
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.viewers import VIEWERS, add_viewers
 from dyknow_rqt.widgets import column_in, row_of, text_of
 
 #: Seconds that a curve shows, and milliseconds from one look at the age to the next.
@@ -55,9 +40,8 @@ class Curve(QWidget):
         super().__init__()
         self.setFixedHeight(44)
         self.setAccessibleName("Curve")
-        self.points: Deque[Tuple[float, float]] = deque()
+        self.points: deque[tuple[float, float]] = deque()
 
-    @qt_slot
     def clear(self) -> None:
         self.points.clear()
         self.update()
@@ -68,7 +52,6 @@ class Curve(QWidget):
             self.points.popleft()
         self.update()
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
         painter.setRenderHint(QPainter.Antialiasing)
@@ -76,7 +59,7 @@ class Curve(QWidget):
             return
         values = [value for _, value in self.points]
         low, high = min(values), max(values)
-        metrics, end = QFontMetrics(self.font()), self.points[-1][0]
+        metrics, end = self.fontMetrics(), self.points[-1][0]
         words = [f"{high:.4g}", f"{low:.4g}"]
         margin = max(metrics.horizontalAdvance(word) for word in words) + 4
         room = QRect(2, 4, self.width() - margin - 6, self.height() - 8)
@@ -96,11 +79,8 @@ class Curve(QWidget):
 class TopicCard(QWidget):
     """A card in a corner of the view; ``show_topic`` opens it, ``dismiss`` closes it."""
 
-    def __init__(
-        self, monitor: GraphMonitor, view: QGraphicsView, report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, monitor: GraphMonitor, view: GraphView) -> None:
         super().__init__(view)
-        self.report = report
         self.topic = ""
         self._monitor, self._view = monitor, view
         self._calls = BackgroundCalls(1)
@@ -112,7 +92,7 @@ class TopicCard(QWidget):
         self._has_failed = False
         self._refs: Sequence[PortRef] = ()
         self._sinks: Sequence[PortRef] = ()
-        self._sample: Optional[Sample] = None
+        self._sample: Sample | None = None
         self._came, self._why = 0.0, ""
         self._title, self.facts, self.image = QLabel(), QLabel(), QLabel()
         self.text = text_of("Last message")
@@ -128,7 +108,6 @@ class TopicCard(QWidget):
         self.show_topic("")
         self._calls.close()
 
-    @qt_slot
     def show_topic(self, topic: str) -> None:
         """Show the last message of a topic from now on; an empty name closes the card."""
         if topic == self.topic:
@@ -159,13 +138,12 @@ class TopicCard(QWidget):
         right, bottom = room.width() - width - _MARGIN, room.height() - height - _MARGIN
         areas = [QRect(x, y, width, height) for y in (_MARGIN, bottom) for x in (right, _MARGIN)]
 
-        def hidden(area: QRect) -> Tuple[bool, int]:
+        def hidden(area: QRect) -> tuple[bool, int]:
             items = self._view.items(area)
             return any(topic_of(item) == self.topic for item in items), len(items)
 
         self.setGeometry(min(areas, key=hidden))
 
-    @qt_slot
     def paintEvent(self, event: Any) -> None:  # noqa: N802
         painter = QPainter(self)
         painter.setPen(colours_of(self.palette()).box_line)
@@ -173,7 +151,6 @@ class TopicCard(QWidget):
 
     # Listening
 
-    @qt_slot
     def _follow(self) -> None:
         """Listen to the node that publishes the topic now."""
         if self.topic:
@@ -197,7 +174,7 @@ class TopicCard(QWidget):
         self._number += 1
         number, topic, datatype = self._number, self.topic, self._datatype
         is_over = threading.Event()
-        ends: List[Callable[[], None]] = []
+        ends: list[Callable[[], None]] = []
 
         def hear(sample: Sample) -> None:
             self._calls.deliver(lambda: self._take(number, sample))
@@ -276,7 +253,6 @@ class TopicCard(QWidget):
             part.setVisible(on)
         return has_changed
 
-    @qt_slot
     def _tell(self) -> None:
         """Say how much comes, and how old the last message is."""
         if not self._node:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import html
-from typing import Iterable, List, Optional
+from typing import Iterable
 
 from python_qt_binding.QtCore import QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont, QPalette
@@ -23,7 +23,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.filters import BadFilter, Filter, completions, parse
 
@@ -57,7 +56,7 @@ def field_of(placeholder: str, tip: str = "", name: str = "") -> QLineEdit:
     return QLineEdit(placeholderText=placeholder, toolTip=tip, accessibleName=name)
 
 
-def form_in(parent: Optional[QWidget] = None) -> QFormLayout:
+def form_in(parent: QWidget | None = None) -> QFormLayout:
     """A form whose fields use all of the width."""
     form = QFormLayout(parent)
     form.setFieldGrowthPolicy(QFormLayout.AllNonFixedFieldsGrow)
@@ -91,7 +90,7 @@ class FilterEdit(QLineEdit):
     def __init__(self, what: str) -> None:
         super().__init__()
         self.filter = Filter()
-        self._names: List[str] = []
+        self._names: list[str] = []
         self._complaint = ""
         self.setPlaceholderText(f"all {what}")
         self.setClearButtonEnabled(True)
@@ -108,11 +107,9 @@ class FilterEdit(QLineEdit):
     def set_names(self, names: Iterable[str]) -> None:
         self._names = sorted(names)
 
-    @qt_slot
     def _offer(self, text: str) -> None:
         self._model.setStringList(completions(text, self._names))
 
-    @qt_slot
     def _read(self, text: str) -> None:
         palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
         try:
@@ -184,6 +181,7 @@ class KeysDialog(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Keys")
+        self.setAttribute(Qt.WA_DeleteOnClose)
         form = QFormLayout(self)
         form.setHorizontalSpacing(24)
         for keys, what in KEYS:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from typing import Any, Dict, Optional
+from typing import Any
 
 from python_qt_binding.QtCore import QEvent, QSize, Qt, QTimer
 from python_qt_binding.QtGui import QKeySequence, QPalette
@@ -22,15 +22,13 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.health import Ill
 from dyknow_rqt.graph_panel import GraphPanel
 from dyknow_rqt.monitor import GraphMonitor
-from dyknow_rqt.panels.active import ActivePanel
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
-from dyknow_rqt.panels.library import LibraryPanel
+from dyknow_rqt.panels.lists import ActivePanel, LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
 from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
@@ -56,13 +54,12 @@ class DyKnowWidget(QWidget):
         self.setWindowTitle("DyKnow")
         self.monitor = GraphMonitor(remote)
         self.line = StatusLine()
-        self.report = self.line.report
         self.health = HealthLabel(self.monitor)
         self.line.show_beside(self.health)
         self.selection = Selection(self.monitor)
         self._is_chosen = False
-        self.graph = GraphPanel(self.monitor, self.selection)
-        self.active = ActivePanel(self.monitor, self.line, self.selection)
+        self.graph = GraphPanel(self.monitor, self.selection, self.line)
+        self.active = ActivePanel(self.monitor, self.line, self.selection, self.graph.edits)
         self.library = LibraryPanel(self.monitor, self.line)
         self.create_ = CreatePanel(self.monitor, self.line)
         self.connect_ = ConnectPanel(self.monitor, self.line)
@@ -92,7 +89,6 @@ class DyKnowWidget(QWidget):
         """Layout of a small graph beside the control panel."""
         return QSize(1200, 760)
 
-    @qt_slot
     def resizeEvent(self, event: QEvent) -> None:  # noqa: N802
         """Put the control panel below the graph in a narrow window, and away in a small one."""
         super().resizeEvent(event)
@@ -106,7 +102,6 @@ class DyKnowWidget(QWidget):
             is_room = size.height() >= _SMALL if is_narrow else size.width() >= _NARROW
             self._show_panel(is_room)
 
-    @qt_slot
     def _choose_panel(self, on: bool) -> None:
         self._is_chosen = True
         self._show_panel(on)
@@ -130,7 +125,7 @@ class DyKnowWidget(QWidget):
         self.monitor.close()
         self.graph.close_down()
 
-    def state(self) -> Dict[str, str]:
+    def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         sizes = ",".join(str(size) for size in self.parts.sizes())
         return {
@@ -140,7 +135,7 @@ class DyKnowWidget(QWidget):
             "panel": str(int(self.graph.bar.panel.isChecked())) if self._is_chosen else "",
         }
 
-    def restore(self, state: Dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore settings; missing and invalid ones are ignored."""
         state = {name: value for name, value in state.items() if value is not None}
         self.graph.restore(state)
@@ -165,26 +160,20 @@ class DyKnowWidget(QWidget):
         self.monitor.heart.told.connect(self.line.show_status)
         self.monitor.heart.linked.connect(self._grey)
         self.graph.bar.panel.triggered.connect(self._choose_panel)
-        self.graph.failed.connect(self.line.report)
-        self.graph.mended.connect(self.line.withdraw)
-        self.graph.noted.connect(self.line.note)
         self.active.menu_wanted.connect(self.graph.show_menu)
         for table in (self.active.table, self.streams.table, self.streams.plan):
             table.picked.connect(self.graph.reveal_selection)
         self.health.wanted.connect(self._lead_to)
-        self.graph.bar.next_ill.triggered.connect(self.health.next)
+        self.graph.bar.next_ill.triggered.connect(lambda: self.health.lead(""))
         self.streams.planned.connect(self.graph.show_plan)
         self.library.create_wanted.connect(self._begin_create)
         self.addActions([*self.graph.bar.actions_with_keys, self.line.decline])
-        self.graph.bar.keys.triggered.connect(self.show_keys)
+        self.graph.bar.keys.triggered.connect(lambda: KeysDialog(self).open())
         actions = self.graph.edits
-        actions.destroy_wanted.connect(self.active.ask_to_destroy)
-        actions.protect_wanted.connect(self.active.set_protection)
         actions.create_wanted.connect(self._begin_create)
         actions.connection_wanted.connect(self._begin_connection)
 
-    @qt_slot
-    def _follow_focus(self, before: Optional[QWidget], now: Optional[QWidget]) -> None:
+    def _follow_focus(self, before: QWidget | None, now: QWidget | None) -> None:
         if before is not None and _line_of(before) is not None:
             before.removeEventFilter(self)
         if now is not None and _line_of(now) is not None and self.isAncestorOf(now):
@@ -207,7 +196,6 @@ class DyKnowWidget(QWidget):
         event.ignore()
         return True
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         button = self.focusWidget()
         if event.key() in (Qt.Key_Return, Qt.Key_Enter) and isinstance(button, QAbstractButton):
@@ -215,13 +203,11 @@ class DyKnowWidget(QWidget):
         else:
             super().keyPressEvent(event)
 
-    @qt_slot
     def changeEvent(self, event: Any) -> None:  # noqa: N802
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange:
             self._grey()
 
-    @qt_slot
     def _grey(self) -> None:
         """Grey the panels while their contents may be stale."""
         palette = QPalette()  # unset colours are inherited
@@ -231,18 +217,10 @@ class DyKnowWidget(QWidget):
                 palette.setColor(role, muted)
         self.tabs.setPalette(palette)
 
-    @qt_slot
-    def show_keys(self) -> None:
-        dialog = KeysDialog(self)
-        dialog.setAttribute(Qt.WA_DeleteOnClose)
-        dialog.open()
-
-    @qt_slot
     def _begin_tab(self) -> None:
         if self.tabs.currentWidget() is self.streams:
             self.streams.tag.setFocus()
 
-    @qt_slot
     def _lead_to(self, ill: Ill) -> None:
         if ill.claim:
             self._show_tab(self.streams)
@@ -251,18 +229,16 @@ class DyKnowWidget(QWidget):
             self.selection.choose_nodelets([ill.nodelet])
         self.graph.reveal_selection()
 
-    @qt_slot
     def _begin_create(self, label: str) -> None:
         self._show_tab(self.create_)
         self.create_.begin(label)
 
-    @qt_slot
     def _begin_connection(self, nodelet: str, port: str) -> None:
         self._show_tab(self.connect_)
         self.connect_.begin(nodelet, port)
 
 
-def _line_of(widget: object) -> Optional[QLineEdit]:
+def _line_of(widget: object) -> QLineEdit | None:
     """The line that is edited in a field, a spin box or a combo box; None if there is none."""
     if isinstance(widget, (QAbstractSpinBox, QComboBox)):
         widget = widget.findChild(QLineEdit)

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import Dict, NamedTuple, Union
+from typing import NamedTuple
 
 from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPalette
 
 from dyknow.formulas import Truth
-from dyknow.model.graph import State
 from dyknow_rqt.graph.figure import Edge, Figure
 from dyknow_rqt.graph.geometry import Size
 
@@ -29,11 +28,11 @@ class Tone(enum.Enum):
     DROPPED = "dropped"
 
 
-def tones_around(figure: Figure, thing: Union[str, Edge]) -> Dict[object, Tone]:
+def tones_around(figure: Figure, thing: str | Edge) -> dict[object, Tone]:
     """The tones of a vertex, by its key, and its neighbours, or of an arrow and its ends."""
     if isinstance(thing, Edge):
         return {thing: Tone.SELF, thing.tail: Tone.IN, thing.head: Tone.OUT}
-    tones: Dict[object, Tone] = {}
+    tones: dict[object, Tone] = {}
     for edge in figure.edges:
         head, tail = edge.head, edge.tail
         for own, other, side in ((head, tail, Tone.IN), (tail, head, Tone.OUT)):
@@ -113,18 +112,9 @@ def colours_of(palette: QPalette) -> Colours:
 def greys_of(palette: QPalette) -> Colours:
     """The colours of a drawing that may no longer be true."""
     colours = colours_of(palette)
-    muted, line, paper = colours.muted, colours.box_line, colours.paper
-    return colours._replace(
-        line=line,
-        text=muted,
-        nodelet=paper,
-        topic=paper,
-        box=paper,
-        alarm=muted,
-        warning=muted,
-        true=muted,
-        false=muted,
-    )
+    papers = dict.fromkeys(("nodelet", "topic", "box"), colours.paper)
+    greys = dict.fromkeys(("text", "alarm", "warning", "true", "false"), colours.muted)
+    return colours._replace(line=colours.box_line, **papers, **greys)
 
 
 def _mix(one: QColor, other: QColor, share: float) -> QColor:
@@ -142,15 +132,7 @@ ROOM = 1.4
 NUMBER = "000"
 
 
-class Appearance(NamedTuple):
-    """The text of a vertex besides its name."""
-
-    state: State = State.RUNNING
-    is_protected: bool = False
-    is_cpp: bool = False
-
-
-def sizes_of(figure: Figure, font: QFont) -> Dict[str, Size]:
+def sizes_of(figure: Figure, font: QFont) -> dict[str, Size]:
     """Sizes of vertices with room for their names and ports."""
     key, sizes = font.key(), {}
     for vertex in figure.vertices:

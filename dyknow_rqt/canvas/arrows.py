@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Arrows and their rates."""
+"""Arrows, their rates, and the places of these."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import Any, Match, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Mapping, Match, Sequence
 
-from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtCore import QObject, QPointF, QRectF, Qt, QTimer
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
@@ -24,13 +23,15 @@ from python_qt_binding.QtGui import (
 from python_qt_binding.QtWidgets import QGraphicsItem
 
 from dyknow.formulas import Truth
-from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import LEAST_TEXT, NUMBER, ROOM, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, rectangle_of, write
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
-from dyknow_rqt.graph.geometry import Point, Rectangle, Size
-from dyknow_rqt.graph.rates import PortRate
-from dyknow_rqt.graph.verdicts import PortVerdict
+from dyknow_rqt.graph.geometry import Point, Rectangle, Size, place_labels
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict
+
+if TYPE_CHECKING:
+    from dyknow_rqt.canvas.scene import GraphScene
 
 #: Pixels: the length of a head, and the width of a line.
 _ARROW, _THIN = 8.0, 1.1
@@ -52,8 +53,8 @@ class EdgeItem(Item):
         self.key = self.edge = edge
         #: The ports at its ends, the in-port first.
         self.refs = edge_refs(edge)
-        self.traffic: Optional[PortRate] = None
-        self.verdict: Optional[PortVerdict] = None
+        self.traffic: PortRate | None = None
+        self.verdict: PortVerdict | None = None
         self.is_dead = False
         #: Whether its label has the topic: it leads past the rectangle of that.
         self.shows_name = not any(key.startswith(_TOPIC) for key in (edge.tail, edge.head))
@@ -90,9 +91,7 @@ class EdgeItem(Item):
         self._tip, self._along = points[-1], direction / length
         self._measure()
 
-    def show(
-        self, traffic: Optional[PortRate], verdict: Optional[PortVerdict], is_dead: bool
-    ) -> bool:
+    def show(self, traffic: PortRate | None, verdict: PortVerdict | None, is_dead: bool) -> bool:
         """Show its traffic and the last verdict; nothing comes along one that is dead.
 
         Returns whether its label needs another size.
@@ -108,7 +107,7 @@ class EdgeItem(Item):
             self.look_again()
         return self.label_shape != shape
 
-    def place_label(self, area: Optional[Rectangle]) -> None:
+    def place_label(self, area: Rectangle | None) -> None:
         """Set the area of its label; None if it has no room."""
         found = QRectF() if area is None else rectangle_of(area)
         if found != self.label_area:
@@ -124,17 +123,13 @@ class EdgeItem(Item):
         return "\n".join([*name, rate, *(["FALSE"] if self.verdict is not None else [])])
 
     @property
-    def label_sizes(self) -> Tuple[Size, ...]:
+    def label_sizes(self) -> tuple[Size, ...]:
         """The sizes that its label may have, the largest first."""
         shape, height = self.label_shape, self._metrics.height()
         width, breaks = self._width_of(shape), shape.count("\n")
         scales = (ROOM, _BETWEEN, 1.0, min(1.0, _SPARE * LEAST_TEXT / self._height))
-        return tuple(
-            Size(
-                scale * width, (scale * breaks + min(scale, 1.0)) * height
-            )  # a line has some room
-            for scale in scales
-        )
+        lines = [scale * breaks + min(scale, 1.0) for scale in scales]  # a line has some room
+        return tuple(Size(scale * width, n * height) for scale, n in zip(scales, lines))
 
     @property
     def label_scale(self) -> float:
@@ -174,14 +169,13 @@ class EdgeItem(Item):
         stroker.setWidth(10)
         return stroker.createStroke(self.path)
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         self.paint_mark(painter, self.path)
         stroke = self.stroke()
         painter.setPen(stroke)
         painter.setBrush(Qt.NoBrush)
         painter.drawPath(self.path)
-        painter.setBrush(QBrush(stroke.color()))
+        painter.setBrush(stroke.color())
         painter.setPen(Qt.NoPen)
         painter.drawPolygon(self._head(_ARROW + 2 * (self.breadth - _THIN)))
         least = LEAST_TEXT / (self._height * painter.worldTransform().m11())
@@ -221,7 +215,7 @@ class EdgeItem(Item):
         return min(_THIN + steps / 2, _WIDEST)
 
     @property
-    def _complaint(self) -> Optional[QColor]:
+    def _complaint(self) -> QColor | None:
         """The colour that says that messages are dropped, or else old; None for neither."""
         if self.is_dropping:
             return self.colours.alarm
@@ -243,3 +237,52 @@ def _usual(number: Match[str]) -> str:
     """The same for all numbers but those of four digits and more."""
     is_usual = "." in number[0] or len(number[0]) <= len(NUMBER)
     return NUMBER if is_usual else "0" * len(number[0])
+
+
+class ArrowLabels(QObject):
+    """Places labels where they cover nothing, once they are large enough to be read."""
+
+    def __init__(self, scene: GraphScene) -> None:
+        super().__init__(scene)
+        self._scene = scene
+        self._calls = BackgroundCalls(1)
+        #: Whether some are to be placed again, when they can be read.
+        self.are_wanted = False
+        self._soon = QTimer(self, singleShot=True, interval=0, timeout=self._place)
+
+    def close(self) -> None:
+        self._soon.stop()
+        self._calls.close()
+
+    @property
+    def are_placed(self) -> bool:
+        """Whether all that can be read are where they belong."""
+        return not (self._calls.is_calling or self._soon.isActive())
+
+    def place(self) -> None:
+        """Place all labels again, soon."""
+        self._soon.start()
+
+    def place_now(self) -> None:
+        self._take(self._search()())
+
+    def _place(self) -> None:
+        self.are_wanted = self._scene.is_far
+        if not self.are_wanted:
+            self._calls.run_once("labels", self._search(), self._take, again=True)
+
+    def _search(self) -> Callable[[], Mapping[Edge, Rectangle]]:
+        """Return a function that finds places for the labels, in any thread."""
+        edges, boxes = self._scene.edges, self._scene.boxes.values()
+        areas = [area for item in self._scene.vertices.values() for area in item.inked]
+        areas += [box.title_area for box in boxes]
+        curves = {edge: item.curve for edge, item in edges.items()}
+        sizes = {edge: item.label_sizes for edge, item in edges.items()}
+        obstacles = [Rectangle(*area.getCoords()) for area in areas]
+        obstacles += [side for box in boxes for side in Rectangle(*box.area.getCoords()).sides]
+        return lambda: place_labels(curves, sizes, obstacles)
+
+    def _take(self, places: Mapping[Edge, Rectangle]) -> None:
+        for edge, item in self._scene.edges.items():
+            item.place_label(places.get(edge))
+        self._scene.measure()

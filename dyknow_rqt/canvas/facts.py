@@ -5,33 +5,24 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, List, Mapping
+from typing import Mapping
 
 from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN
-from dyknow_rqt.canvas.appearance import Appearance
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import PortItem
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Vertex, VertexKind, key_of
-from dyknow_rqt.graph.rates import PortRate, Strain
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict, Strain
 from dyknow_rqt.graph.snapshot import Snapshot, Transports, connections_of
-from dyknow_rqt.graph.verdicts import PortVerdict
 
 
 class Facts:
-    """The graph, and its measurements.
-
-    Attributes:
-        traffic: of ports.
-        verdicts: the last ones, by the out-ports that they come from.
-        strains: of nodelets, by name.
-        transports: of connections to other processes, if a tool tip shows them.
-    """
+    """The graph, and its measurements; transports of connections if a tool tip shows them."""
 
     def __init__(self) -> None:
         self._snapshot = Snapshot()
-        self._dead: FrozenSet[str] = frozenset()
+        self._dead: frozenset[str] = frozenset()
         self.traffic: Mapping[PortRef, PortRate] = {}
         self.verdicts: Mapping[PortRef, PortVerdict] = {}
         self.strains: Mapping[str, Strain] = {}
@@ -45,7 +36,7 @@ class Facts:
         if nodelet is None or item.vertex.kind is not VertexKind.NODELET:
             is_dead = item.vertex.key in self._dead
             item.shown = None
-            item.set_appearance(Appearance(State.LOST if is_dead else State.RUNNING))
+            item.set_state(State.LOST if is_dead else State.RUNNING)
             return
         item.set_strain(self.strains.get(nodelet.name, Strain()))
         for port in item.ports.values():
@@ -54,7 +45,7 @@ class Facts:
             return
         item.shown = nodelet
         is_cpp = not nodelet.kind.is_written_for_dyknow
-        item.set_appearance(Appearance(nodelet.state, nodelet.is_protected, is_cpp))
+        item.set_state(nodelet.state, nodelet.is_protected, is_cpp)
         connected = {port.name for port in nodelet.ports if port.topic}
         for port in item.ports.values():
             port.change(is_connected=port.ref.port in connected)
@@ -72,7 +63,7 @@ class Facts:
         is_dead = any(key in self._dead or key.startswith(planned) for key in ends)
         return item.show(traffic, verdict, is_dead)
 
-    def nodes_of(self, item: object) -> FrozenSet[str]:
+    def nodes_of(self, item: object) -> frozenset[str]:
         """The nodes of the ports whose connections an item shows."""
         nodelets = [self._snapshot.nodelet(ref.nodelet) for ref in self._refs_of(item)]
         return frozenset(nodelet.node for nodelet in nodelets if nodelet is not None)
@@ -86,7 +77,7 @@ class Facts:
             return _tip(self._tip_of_vertex(item.vertex), connections)
         return "\n\n".join(filter(None, (*map(self._tip_of_port, refs), connections)))
 
-    def _refs_of(self, item: object) -> List[PortRef]:
+    def _refs_of(self, item: object) -> list[PortRef]:
         """The ports whose connections an item shows, sources first."""
         if isinstance(item, EdgeItem):
             return item.refs[::-1]
@@ -130,7 +121,7 @@ class Facts:
         return _tip(*lines)
 
 
-def _dead_keys(snapshot: Snapshot) -> FrozenSet[str]:
+def _dead_keys(snapshot: Snapshot) -> frozenset[str]:
     """Vertices through which nothing can come: lost nodelets, and topics without live sources.
 
     A topic without a known publisher lives as long as one of its receivers.
@@ -147,15 +138,6 @@ def _dead_keys(snapshot: Snapshot) -> FrozenSet[str]:
 
 def _tip_of_nodelet(nodelet: NodeletStatus) -> str:
     inputs = sum(port.direction == IN for port in nodelet.ports)
-    facts = [
-        word
-        for word, holds in (
-            ("protected", nodelet.is_protected),
-            ("in a process of its own", nodelet.isolated),
-            ("its topics are fixed", nodelet.is_fixed),
-        )
-        if holds
-    ]
     state = nodelet.state.name.lower()
     return _tip(
         nodelet.name,
@@ -164,7 +146,9 @@ def _tip_of_nodelet(nodelet: NodeletStatus) -> str:
         f"on {nodelet.host}" if nodelet.host else "",
         " ".join(f"{each.name}={each.text}" for each in nodelet.parameters),
         f"in-ports: {inputs}, out-ports: {len(nodelet.ports) - inputs}",
-        *facts,
+        "protected" if nodelet.is_protected else "",
+        "in a process of its own" if nodelet.isolated else "",
+        "its topics are fixed" if nodelet.is_fixed else "",
         state + (f": {nodelet.detail}" if nodelet.detail else ""),
     )
 

@@ -1,33 +1,35 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The base class of the items, and the small ones: boxes and ports."""
+"""The base class of the items, and the small ones: boxes, ports, and a wire that a hand draws."""
 
 from __future__ import annotations
 
 import enum
-from typing import Any, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any
 
-from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtCore import QPoint, QPointF, QRectF, Qt
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
     QPainter,
     QPainterPath,
+    QPalette,
     QPen,
 )
-from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsRectItem
+from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraphicsRectItem, QLabel
 
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
-from dyknow.model.transformation import IN
-from dyknow_rqt.background_calls import qt_slot
+from dyknow.model.transformation import IN, OUT
 from dyknow_rqt.canvas.appearance import Colours, Tone
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
-from dyknow_rqt.graph.verdicts import PortVerdict
+from dyknow_rqt.graph.measurements import PortVerdict
+
+if TYPE_CHECKING:
+    from dyknow_rqt.canvas.view import GraphView
 
 PORT_RADIUS = 4.0
 #: Pixels: a smaller dot tells nothing beside the arrow that ends in it.
@@ -58,26 +60,19 @@ def rectangle_of(area: Rectangle) -> QRectF:
 
 
 class Item(QGraphicsRectItem):
-    """The base of all items: colours, a tone, and a way to report errors.
+    """The base of all items: colours, a tone, a mark, and what is highlighted under the pointer.
 
     It paints within its rectangle: Qt asks for that so often that Python must not answer.
-
-    Attributes:
-        key: the thing that is highlighted while the pointer is over it.
     """
 
-    key: Union[str, Edge] = ""
+    key: str | Edge = ""
 
-    def __init__(self, colours: Colours, parent: Optional[QGraphicsItem] = None) -> None:
+    def __init__(self, colours: Colours, parent: QGraphicsItem | None = None) -> None:
         super().__init__(parent)
         self.setPen(QPen(Qt.NoPen))  # else the rectangle is larger by its width
         self.colours = colours
         self.tone = Tone.NONE
-        self.mark: Optional[Mark] = None
-
-    def report(self, text: str) -> None:
-        if self.scene() is not None:
-            self.scene().report(text)
+        self.mark: Mark | None = None
 
     def change(self, **looks: object) -> None:
         """Set attributes on which its look depends, and have it painted again if they differ."""
@@ -86,11 +81,9 @@ class Item(QGraphicsRectItem):
                 setattr(self, name, value)
                 self.update()
 
-    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         self.scene().highlight(self.key)
 
-    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         self.scene().highlight(None)
 
@@ -137,7 +130,7 @@ class Item(QGraphicsRectItem):
 class BoxItem(Item):
     """The box of a namespace; its title is painted by the overview."""
 
-    def __init__(self, group: Tuple[str, ...], colours: Colours, font: QFont) -> None:
+    def __init__(self, group: tuple[str, ...], colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.group = group
         self.name = group[-1]
@@ -155,10 +148,9 @@ class BoxItem(Item):
         corner = self.area.topLeft() + QPointF(8, 3)
         return QRectF(corner, metrics.size(Qt.TextSingleLine, self.name))
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         painter.setPen(QPen(self.colours.box_line, 1))
-        painter.setBrush(QBrush(self.colours.box))
+        painter.setBrush(self.colours.box)
         painter.drawRect(self.area)
 
 
@@ -171,8 +163,8 @@ class PortItem(Item):
         self.direction = direction
         self._font = font
         self.is_connected = False
-        self.verdict: Optional[PortVerdict] = None
-        self.offered: Optional[bool] = None
+        self.verdict: PortVerdict | None = None
+        self.offered: bool | None = None
         self.setCursor(Qt.CrossCursor)
         self.setAcceptHoverEvents(True)
         self._hovered = False
@@ -182,7 +174,7 @@ class PortItem(Item):
     def truth(self) -> Truth:
         return Truth.UNKNOWN if self.verdict is None else self.verdict.truth
 
-    def set_offered(self, offered: Optional[bool]) -> None:
+    def set_offered(self, offered: bool | None) -> None:
         """Show whether the connection that is drawn could end here; None if none is drawn."""
         self.offered = offered
         self.setOpacity(0.3 if offered is False else 1.0)
@@ -194,7 +186,6 @@ class PortItem(Item):
         path.addEllipse(QPointF(0, 0), PORT_RADIUS + 4, PORT_RADIUS + 4)
         return path
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         """Draw a dot, filled when connected; a square for a formula that does not hold."""
         large = self._hovered or bool(self.offered)
@@ -204,7 +195,7 @@ class PortItem(Item):
         radius = PORT_RADIUS + (2 if large else 0)
         colour = self.colours.chosen if large else self.colours.of_truth(self.truth)
         painter.setPen(QPen(colour, 1.2))
-        painter.setBrush(QBrush(colour if self.is_connected or large else self.colours.paper))
+        painter.setBrush(colour if self.is_connected or large else self.colours.paper)
         if self.truth is Truth.FALSE:
             painter.drawRect(QRectF(-radius, -radius, 2 * radius, 2 * radius))
         else:
@@ -223,10 +214,66 @@ class PortItem(Item):
         left = -width - 8 if self.direction == IN else 8.0
         return QRectF(left, -metrics.height() - 3, width, metrics.height())
 
-    @qt_slot
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=True)
 
-    @qt_slot
     def hoverLeaveEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=False)
+
+
+#: How far the line leads straight on from its ends, in pixels of the drawing.
+_REACH = 50.0
+
+
+class Wire(QLabel):
+    """The words beside a connection that a hand draws; hidden, with no start, while none is."""
+
+    def __init__(self, view: GraphView) -> None:
+        super().__init__(view.viewport())
+        self._view = view
+        self.start: PortItem | None = None
+        self._line = QGraphicsPathItem()
+        self.setAttribute(Qt.WA_TransparentForMouseEvents)
+        self.setForegroundRole(QPalette.ToolTipText)
+        self.setBackgroundRole(QPalette.ToolTipBase)
+        self.setAutoFillBackground(True)
+        self.setMargin(4)
+        self.hide()
+
+    def begin(self, start: PortItem) -> None:
+        self.start, self._line = start, QGraphicsPathItem()
+        self._line.setPen(QPen(start.colours.chosen, 2, Qt.DashLine))
+        self._line.setZValue(20)
+        self._view.scene().addItem(self._line)
+
+    def lead(self, start: PortItem, end: QPointF) -> None:
+        """Lead the line to a place of the drawing."""
+        reach = _REACH if start.direction == OUT else -_REACH
+        is_downwards = self._view.scene().figure.is_downwards
+        way = QPointF(0, reach) if is_downwards else QPointF(reach, 0)
+        path = QPainterPath(start.scenePos())
+        path.cubicTo(start.scenePos() + way, end - way, end)
+        self._line.setPath(path)
+
+    def end(self) -> None:
+        if self.start is not None:
+            self._view.scene().removeItem(self._line)
+        self.start = None
+        self.hide()
+
+    def say(self, text: str) -> None:
+        """Say something beside the pointer."""
+        self.setText(text)
+        self.setWordWrap(False)
+        width = min(self.sizeHint().width(), self._view.viewport().width())
+        self.setWordWrap(True)
+        self.resize(width, self.heightForWidth(width))
+        self.show()
+
+    def stay_beside(self, place: QPoint) -> None:
+        """Keep the words in the view, beside a place of it."""
+        room = self._view.viewport().size()
+        left = max(0, min(place.x() + 18, room.width() - self.width()))
+        below = place.y() + 24
+        is_room = below + self.height() <= room.height()
+        self.move(left, below if is_room else place.y() - 12 - self.height())

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Dict, List, Optional, Tuple, Union
+from typing import TYPE_CHECKING
 
 from python_qt_binding.QtCore import QObject, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraphicsSimpleTextItem
 
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import VertexKind, key_of
-from dyknow_rqt.graph.moments import Difference
+from dyknow_rqt.graph.snapshot import Difference
 
 if TYPE_CHECKING:
     from dyknow_rqt.canvas.scene import GraphScene
@@ -37,14 +36,12 @@ class Marks(QObject):
     def __init__(self, scene: GraphScene) -> None:
         super().__init__(scene)
         self._scene = scene
-        self.report = scene.report
         #: The ends of differences, with what they mark.
-        self._noted: List[Tuple[float, Difference]] = []
+        self._noted: list[tuple[float, Difference]] = []
         self._shown = Difference()
-        self.ghosts: Dict[str, VertexItem] = {}
-        self.links: List[QGraphicsItem] = []
-        self._ending = QTimer(self, singleShot=True)
-        self._ending.timeout.connect(self._follow)
+        self.ghosts: dict[str, VertexItem] = {}
+        self.links: list[QGraphicsItem] = []
+        self._ending = QTimer(self, singleShot=True, timeout=self._follow)
 
     def show(self, found: Difference, is_lasting: bool = False) -> None:
         """Mark a difference besides the marked ones; ``is_lasting`` until all are cleared."""
@@ -56,7 +53,6 @@ class Marks(QObject):
         self._noted = []
         self._follow()
 
-    @qt_slot
     def _follow(self) -> None:
         """Mark the differences that have not ended."""
         now, shown = time.monotonic(), Difference()
@@ -74,7 +70,7 @@ class Marks(QObject):
             self._ending.start(math.ceil((next_end - now) * 1000))
         self.apply()
 
-    def of(self, item: Union[EdgeItem, VertexItem]) -> Optional[Mark]:
+    def of(self, item: EdgeItem | VertexItem) -> Mark | None:
         shown = self._shown
         if isinstance(item, EdgeItem):
             return Mark.MOVED if any(ref in shown.moved for ref in item.refs) else None
@@ -97,7 +93,7 @@ class Marks(QObject):
     def apply(self) -> None:
         """Mark the items that are drawn now, and link nodelets with their replacements."""
         scene, shown = self._scene, self._shown
-        for item in (*scene.edges.values(), *scene.vertices.values(), *self.ghosts.values()):
+        for item in (*scene.things.values(), *self.ghosts.values()):
             item.change(mark=self.of(item))
         for name in [name for name in self.ghosts if name not in shown.went]:
             scene.removeItem(self.ghosts.pop(name))

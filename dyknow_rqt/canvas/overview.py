@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The drawing in a few strokes, where it is too small for names, and the titles of its boxes."""
+"""The drawing in a few strokes, where it is too small for names, and as a map; titles of boxes."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Dict, Iterable, Iterator, List, Tuple, Union
+from typing import TYPE_CHECKING, Any, Iterable, Iterator, Tuple
 
-from python_qt_binding.QtCore import QPointF, QRectF, Qt
+from python_qt_binding.QtCore import QPoint, QPointF, QRect, QRectF, QSize, Qt, QTimer, Signal
 from python_qt_binding.QtGui import (
-    QBrush,
     QColor,
     QFont,
     QFontMetricsF,
@@ -18,12 +17,14 @@ from python_qt_binding.QtGui import (
     QPainterPath,
     QPen,
 )
+from python_qt_binding.QtWidgets import QWidget
+
+from dyknow_rqt.canvas.appearance import Colours
+from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.vertices import VertexItem
 
 if TYPE_CHECKING:
-    from dyknow_rqt.canvas.appearance import Colours
-    from dyknow_rqt.canvas.arrows import EdgeItem
-    from dyknow_rqt.canvas.items import BoxItem
-    from dyknow_rqt.canvas.vertices import VertexItem
+    from dyknow_rqt.canvas.scene import GraphScene
 
 #: Pixels of the screen per pixel of the drawing: with less names cannot be read, and the overview
 #: paints everything.
@@ -40,22 +41,15 @@ _NARROW, _MARGIN = 90.0, 3.0
 _LONG = 600.0
 #: Pixels: the width of a line that stands for a ring.
 _RING = 2.2
-#: Pixels of line that are painted at a time, how many of them one with dashes is worth, and what
-#: each shape takes beside its line.
-_AT_A_TIME, _DASHED, _EACH = 8000.0, 15.0, 40.0
 #: Pixels of a picture.
 _MOST_PIXELS = 6e6
 
 
 class Overview:
-    """A picture of the boxes, arrows and vertices in an area, without names.
+    """A picture of the boxes, arrows and vertices in an area of the drawing, without names.
 
-    It is painted piece by piece, all things of one look together: one by one Python would be
-    called thousands of times for 500 nodelets. Until it is done the last picture is shown.
-
-    Attributes:
-        area: the shown part, in pixels of the drawing.
-        scale: pixels of the picture per pixel of the drawing; 0 before the first.
+    It is painted in steps; until it is done the last picture is shown. Its scale, in pixels per
+    pixel of the drawing, is 0 before the first.
     """
 
     def __init__(self) -> None:
@@ -63,19 +57,13 @@ class Overview:
         self.scale = 0.0
         self._picture = QImage()
 
-    def painted(
-        self,
-        area: QRectF,
-        scale: float,
-        paper: QColor,
-        boxes: Iterable[BoxItem],
-        edges: Iterable[EdgeItem],
-        vertices: Iterable[VertexItem],
-    ) -> Iterator[None]:
+    def painted(self, scene: GraphScene, area: QRectF, scale: float) -> Iterator[None]:
         """Paint another picture, a step at a time; of a large area a coarse one."""
+        boxes = sorted(scene.boxes.values(), key=lambda box: box.zValue())
+        edges, vertices = list(scene.edges.values()), list(scene.vertices.values())
         scale = min(scale, (_MOST_PIXELS / (area.width() * area.height())) ** 0.5)
         picture = QImage((area.size() * scale).toSize(), QImage.Format_RGB32)
-        picture.fill(paper)
+        picture.fill(scene.colours.paper)
         painter = QPainter(picture)
         painter.scale(scale, scale)
         painter.translate(-area.topLeft())
@@ -84,22 +72,13 @@ class Overview:
                 box.paint(painter, None)
                 yield
             for strokes in (_arrows(edges), _shapes(vertices)):
-                found: Dict[_Look, List[QPainterPath]] = {}
-                room: Dict[_Look, float] = {}
-                for look, path in strokes:
-                    across = path.controlPointRect()
-                    line = (across.width() + across.height()) * scale
-                    worth = _EACH + line * (1.0 if look[-1] == Qt.SolidLine else _DASHED)
-                    if room.get(look, 0.0) < worth:
-                        found.setdefault(look, []).append(QPainterPath())
-                        room[look] = _AT_A_TIME
-                    room[look] -= worth
-                    found[look][-1].addPath(path)
+                found = []
+                for stroke in strokes:
+                    found.append(stroke)
                     yield
-                for look, pieces in sorted(found.items()):
-                    for path in pieces:
-                        _stroke(painter, look, path, scale)
-                        yield
+                for look, path in sorted(found, key=lambda stroke: stroke[0]):
+                    _stroke(painter, look, path, scale)
+                    yield
         finally:
             painter.end()
         self._picture, self.area, self.scale = picture, area, scale
@@ -120,7 +99,7 @@ class Overview:
         painter.restore()
 
 
-def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]) -> None:
+def paint_marked(painter: QPainter, items: Iterable[EdgeItem | VertexItem]) -> None:
     """Paint the things that stand out on top of a picture, in the coordinates of the drawing."""
     painter.setRenderHint(QPainter.Antialiasing)
     painter.setBrush(Qt.NoBrush)
@@ -133,27 +112,21 @@ def paint_marked(painter: QPainter, items: Iterable[Union[EdgeItem, VertexItem]]
 
 def paint_titles(
     painter: QPainter,
-    titles: Iterable[Tuple[QRectF, str]],
+    titles: Iterable[tuple[QRectF, str]],
     font: QFont,
     colours: Colours,
     seen: QRectF,
 ) -> None:
-    """Write titles so large that they can be read; of two that meet only the first.
+    """Write titles so large that they can be read, in their owners; of two that meet the first.
 
-    Beside names that can be read they shrink with these, so as to cover none of them.
-
-    Args:
-        painter: in the coordinates of the drawing.
-        titles: their owners and their texts.
-        font: at full size.
-        colours: of the drawing.
-        seen: the part of the drawing that is in view; a title stays in it with its owner.
+    Beside names that can be read they shrink with these, so as to cover none of them. A title
+    stays in the part that is seen with its owner.
     """
     zoom = min(1.0, painter.worldTransform().m11())
     is_far = zoom * painter.device().devicePixelRatioF() < FAR
     pixel = (1.0 if is_far else max(_SMALL, zoom)) / zoom
     metrics = QFontMetricsF(font)
-    taken: List[QRectF] = []
+    taken: list[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)
     painter.setFont(font)
@@ -189,12 +162,12 @@ def _stroke(painter: QPainter, look: _Look, path: QPainterPath, scale: float) ->
     pen = QPen(QColor.fromRgba(colour), width, Qt.PenStyle(style))
     pen.setCosmetic(True)  # as wide as it is in the drawing at full size
     painter.setPen(pen)
-    painter.setBrush(QBrush(QColor.fromRgba(fill)) if fill else Qt.NoBrush)
+    painter.setBrush(QColor.fromRgba(fill) if fill else Qt.NoBrush)
     painter.setRenderHint(QPainter.Antialiasing, not fill or scale > _DOTS)
     painter.drawPath(path)
 
 
-def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
+def _arrows(edges: Iterable[EdgeItem]) -> Iterator[tuple[_Look, QPainterPath]]:
     for edge in edges:
         pen, area = edge.plain_stroke(), edge.rect()
         if max(area.width(), area.height()) > _LONG and pen.color() == edge.colours.line:
@@ -202,7 +175,7 @@ def _arrows(edges: Iterable[EdgeItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
         yield _look(pen), edge.path
 
 
-def _shapes(vertices: Iterable[VertexItem]) -> Iterator[Tuple[_Look, QPainterPath]]:
+def _shapes(vertices: Iterable[VertexItem]) -> Iterator[tuple[_Look, QPainterPath]]:
     for item in vertices:
         pen, share = item.ring
         pen.setWidthF(_RING)
@@ -211,3 +184,86 @@ def _shapes(vertices: Iterable[VertexItem]) -> Iterator[Tuple[_Look, QPainterPat
 
 def _look(pen: QPen, fill: int = 0) -> _Look:
     return pen.widthF(), pen.color().rgba(), fill, int(pen.style())
+
+
+#: Pixels: its largest size, and its distance from the edges of the view.
+_LARGEST, _OFF_EDGE = (180, 130), 8
+#: Milliseconds that the drawing may have changed before it shows.
+_LAG = 300
+
+
+class Minimap(QWidget):
+    """Hidden while everything is seen; a press or a drag moves the view."""
+
+    #: The place of the drawing that is to be in the middle.
+    place_wanted = Signal(QPointF)
+
+    def __init__(self, scene: GraphScene, view: QWidget) -> None:
+        super().__init__(view)
+        self._scene = scene
+        self._seen = QRectF()
+        self._overview = Overview()
+        self._lag = QTimer(self, singleShot=True, interval=_LAG, timeout=self._look)
+        self.setCursor(Qt.SizeAllCursor)
+        self.setToolTip("The whole graph: press or drag to move there")
+        self.setAccessibleName("Map of the graph")
+        scene.changed_looks.connect(self._lag.start)
+        scene.changed_marks.connect(self.update)
+        self.hide()
+
+    def follow(self, seen: QRectF) -> None:
+        """Show which part of the drawing is seen; hide if that is all of it."""
+        self._seen, whole = seen, self._scene.drawing_area()
+        is_useful = not whole.isEmpty() and not seen.contains(whole)
+        if is_useful:
+            size = whole.size().scaled(*_LARGEST, Qt.KeepAspectRatio).toSize()
+            size = size.expandedTo(QSize(24, 24))
+            corner = self.parentWidget().rect().bottomRight() - QPoint(_OFF_EDGE, _OFF_EDGE)
+            self.setGeometry(QRect(corner - QPoint(size.width(), size.height()), size))
+        if is_useful and (not self.isVisible() or self._overview.area != whole):
+            self._lag.start(0)
+        self.setVisible(is_useful)
+        self.update()
+
+    def paintEvent(self, event: Any) -> None:  # noqa: N802
+        painter = QPainter(self)
+        corner, scale = self._frame()
+        painter.fillRect(self.rect(), self._scene.backgroundBrush())
+        painter.save()
+        painter.scale(scale, scale)
+        painter.translate(-corner)
+        self._overview.paint(painter)
+        self._scene.paint_marked(painter)
+        painter.restore()
+        seen = QRectF(
+            (self._seen.topLeft() - corner) * scale, self._seen.size() * scale
+        ).intersected(QRectF(self.rect()).adjusted(0, 0, -1, -1))
+        painter.setPen(QPen(self.palette().highlight().color(), 2))
+        painter.drawRect(seen)
+        painter.setPen(self.palette().mid().color())
+        painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
+
+    def mousePressEvent(self, event: Any) -> None:  # noqa: N802
+        corner, scale = self._frame()
+        self.place_wanted.emit(QPointF(event.pos()) / scale + corner)
+
+    def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
+        self.mousePressEvent(event)
+
+    def _look(self) -> None:
+        if self.isVisible():
+            self._scene.slices.want(self._picture)
+
+    def _picture(self) -> Iterator[None]:
+        area = self._scene.drawing_area()
+        if not area.isEmpty():
+            scale = self._frame()[1] * self.devicePixelRatioF()
+            yield from self._overview.painted(self._scene, area, scale)
+            self.update()
+
+    def _frame(self) -> tuple[QPointF, float]:
+        """The corner of the shown area, and its scale."""
+        whole = self._scene.drawing_area()
+        scale = min(self.width() / whole.width(), self.height() / whole.height())
+        room = QPointF(self.width() / scale, self.height() / scale)
+        return whole.center() - room / 2, scale

@@ -5,40 +5,25 @@
 
 from __future__ import annotations
 
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterator,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Set,
-    TypeVar,
-    Union,
-)
+from typing import Any, Callable, Iterator, Mapping, Sequence, TypeVar
 
 from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, Signal
 from python_qt_binding.QtGui import QFont, QPainter, QPalette
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.background_calls import Slices
 from dyknow_rqt.canvas.appearance import Tone, colours_of, greys_of, tones_around
-from dyknow_rqt.canvas.arrows import EdgeItem
+from dyknow_rqt.canvas.arrows import ArrowLabels, EdgeItem
 from dyknow_rqt.canvas.facts import Facts
 from dyknow_rqt.canvas.items import BoxItem, Item, PortItem
-from dyknow_rqt.canvas.labels import ArrowLabels
 from dyknow_rqt.canvas.marks import Marks
 from dyknow_rqt.canvas.overview import FAR, Overview, paint_marked, paint_titles
-from dyknow_rqt.canvas.slices import Slices
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Figure, Group, VertexKind
 from dyknow_rqt.graph.geometry import Drawing, Point, Size, boxes_around, curve_between
-from dyknow_rqt.graph.rates import PortRate, Strain
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict, Strain
 from dyknow_rqt.graph.snapshot import Snapshot, Transports
-from dyknow_rqt.graph.verdicts import PortVerdict
 from dyknow_rqt.widgets import wrapped
 
 Key = TypeVar("Key")
@@ -58,33 +43,30 @@ class GraphScene(QGraphicsScene):
     #: A ``Drawing`` is drawn.
     shown = Signal(object)
 
-    def __init__(
-        self, palette: QPalette, font: QFont, report: Callable[[str], None], parent: QObject
-    ) -> None:
+    def __init__(self, palette: QPalette, font: QFont, parent: QObject) -> None:
         super().__init__(parent)
-        self.report = report
         self.figure = Figure()
-        self.vertices: Dict[str, VertexItem] = {}
-        self.edges: Dict[Edge, EdgeItem] = {}
-        self.boxes: Dict[Group, BoxItem] = {}
+        self.vertices: dict[str, VertexItem] = {}
+        self.edges: dict[Edge, EdgeItem] = {}
+        self.boxes: dict[Group, BoxItem] = {}
         self.colours = colours_of(palette)
         self.typeface = font
         self.facts = Facts()
         self._reshow: Callable[[], None] = lambda: None
         self.highlights = True
-        self._highlighted: Union[None, str, Edge] = None
+        self._highlighted: None | str | Edge = None
         self._ghosts: Mapping[object, Tone] = {}
         self.overview = Overview()
         self.is_far = False
         self._seen, self.zoom = QRectF(), 1.0
-        self._marked: Optional[List[Union[EdgeItem, VertexItem]]] = None
+        self._marked: list[EdgeItem | VertexItem] | None = None
         #: Whether a drawing has begun that is not shown yet.
         self.is_drawing = False
         self._drawing = Drawing()
-        self.slices = Slices(report, self)
+        self.slices = Slices(self)
         self.marks = Marks(self)
         self.labels = ArrowLabels(self)
-        self._area: Optional[QRectF] = None
+        self._area: QRectF | None = None
         self.selectionChanged.connect(self.mark)
         self.setBackgroundBrush(self.colours.paper)
 
@@ -93,9 +75,9 @@ class GraphScene(QGraphicsScene):
         self.slices.close()
 
     @property
-    def is_labelled(self) -> bool:
-        """Whether all labels are where they belong."""
-        return not self.is_drawing and self.labels.are_placed
+    def things(self) -> dict[Any, EdgeItem | VertexItem]:
+        """Arrows and vertices by their keys."""
+        return {**self.edges, **self.vertices}
 
     def show_drawing(self, drawing: Drawing) -> None:
         """Draw something else in slices, then emit ``shown``.
@@ -137,7 +119,7 @@ class GraphScene(QGraphicsScene):
         self.labels.place()
         yield
         self.setSceneRect(self.drawing_area().adjusted(-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
-        is_drawn = self._highlighted in self.vertices or self._highlighted in self.edges
+        is_drawn = self._highlighted in self.things
         self.highlight(self._highlighted if is_drawn else None)
         self.marks.apply()
         self.is_drawing, self._marked = False, None
@@ -179,7 +161,6 @@ class GraphScene(QGraphicsScene):
         if self.labels.are_wanted:
             self.labels.place()
 
-    @qt_slot
     def helpEvent(self, event: Any) -> None:  # noqa: N802
         """Show a tool tip: there are too many to keep them up to date."""
         items = self.items(event.scenePos())
@@ -203,12 +184,10 @@ class GraphScene(QGraphicsScene):
 
     # Painting
 
-    def set_zoom(self, zoom: float, seen: Optional[QRectF] = None) -> None:
+    def set_zoom(self, zoom: float, seen: QRectF | None = None) -> None:
         """Let the overview paint things that are too small for names.
 
-        Args:
-            zoom: pixels of the screen per pixel of the drawing.
-            seen: the part of the drawing that is in view.
+        The zoom is in pixels of the screen per pixel of the drawing, of which a part is seen.
         """
         self._seen, self.zoom = seen or self._seen, zoom
         if self.is_far != (zoom < FAR):
@@ -227,15 +206,9 @@ class GraphScene(QGraphicsScene):
         across, down = seen.width() / 2, seen.height() / 2
         area = seen.adjusted(-across, -down, across, down) & self.drawing_area()
         if self.is_far and not area.isEmpty():
-            yield from self.overview_of(self.overview, area, self.zoom)
+            yield from self.overview.painted(self, area, self.zoom)
             self.update()
 
-    def overview_of(self, overview: Overview, area: QRectF, scale: float) -> Iterator[None]:
-        boxes = sorted(self.boxes.values(), key=lambda box: box.zValue())
-        edges, vertices = list(self.edges.values()), list(self.vertices.values())
-        yield from overview.painted(area, scale, self.colours.paper, boxes, edges, vertices)
-
-    @qt_slot
     def drawForeground(self, painter: QPainter, area: QRectF) -> None:  # noqa: N802
         """Paint the things that are not painted by items."""
         boxes = sorted(self.boxes.items(), key=lambda each: (len(each[0]), each[0]))
@@ -259,11 +232,9 @@ class GraphScene(QGraphicsScene):
     def paint_marked(self, painter: QPainter) -> None:
         """Paint the items that stand out on top of a picture."""
         if self._marked is None:
-            items = (*self.edges.values(), *self.vertices.values())
-            self._marked = [item for item in items if item.stands_out]
+            self._marked = [item for item in self.things.values() if item.stands_out]
         paint_marked(painter, self._marked)
 
-    @qt_slot
     def look_again(self) -> None:
         """Have the overviews painted again: something looks different now."""
         self.slices.want(self._tell_looks)
@@ -274,7 +245,6 @@ class GraphScene(QGraphicsScene):
             self.slices.want(self._picture)
         yield
 
-    @qt_slot
     def mark(self) -> None:
         """Show the items that stand out now."""
         self._marked = None
@@ -298,16 +268,16 @@ class GraphScene(QGraphicsScene):
 
     # Highlighting, searching
 
-    def highlight(self, thing: Union[None, str, Edge]) -> None:
+    def highlight(self, thing: None | str | Edge) -> None:
         """Highlight a vertex (red) and its neighbours, or an arrow and its ends, until the next.
 
         Sources are blue, sinks green, things that are both are purple.
         """
         self._highlighted = thing
-        tones: Dict[object, Tone] = {}
+        tones: dict[object, Tone] = {}
         if self.highlights and thing is not None:
             tones = tones_around(self.figure, thing)
-        for key, item in (*self.vertices.items(), *self.edges.items()):
+        for key, item in self.things.items():
             item.change(tone=tones.get(key, self._ghosts.get(key, Tone.NONE)))
         self.mark()
 
@@ -316,7 +286,7 @@ class GraphScene(QGraphicsScene):
         self._ghosts = {key: Tone.KEPT if kept else Tone.DROPPED for key, kept in fates.items()}
         self.highlight(self._highlighted)
 
-    def find(self, text: str) -> List[VertexItem]:
+    def find(self, text: str) -> list[VertexItem]:
         """Mark the vertices whose name contains a text; return them from left to right."""
         wanted, items = text.strip().lower(), self.vertices.values()
         for item in items:
@@ -347,13 +317,13 @@ class GraphScene(QGraphicsScene):
         self._area = None
         self.look_again()
 
-    def offer(self, refs: Optional[Set[PortRef]]) -> None:
+    def offer(self, refs: set[PortRef] | None) -> None:
         """Mark the ports where a connection could end; None to mark none."""
         for item in self.vertices.values():
             for port in item.ports.values():
                 port.set_offered(None if refs is None else port.ref in refs)
 
-    def port_item(self, ref: PortRef) -> Optional[PortItem]:
+    def port_item(self, ref: PortRef) -> PortItem | None:
         vertex = self.vertices.get(f"{VertexKind.NODELET.value}_{ref.nodelet}")
         return vertex.ports.get(ref.port) if vertex is not None else None
 
@@ -387,11 +357,11 @@ class GraphScene(QGraphicsScene):
         yield from self.edges.values()
         yield from self.boxes.values()
 
-    def _remove(self, items: Dict[Key, Any], wanted: Set[Key]) -> None:
+    def _remove(self, items: dict[Key, Any], wanted: set[Key]) -> None:
         for key in [key for key in items if key not in wanted]:
             self.removeItem(items.pop(key))
 
-    def _add(self, items: Dict[Key, Any], key: Key, item: Item) -> None:
+    def _add(self, items: dict[Key, Any], key: Key, item: Item) -> None:
         if key not in items:
             items[key] = item
             item.set_far(self.is_far)

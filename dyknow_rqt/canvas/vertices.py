@@ -6,31 +6,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Tuple
+from typing import Any
 
 from python_qt_binding.QtCore import QPointF, QRectF, Qt
-from python_qt_binding.QtGui import (
-    QBrush,
-    QColor,
-    QFont,
-    QFontMetricsF,
-    QPainter,
-    QPainterPath,
-    QPen,
-)
+from python_qt_binding.QtGui import QColor, QFont, QFontMetricsF, QPainter, QPainterPath, QPen
 from python_qt_binding.QtWidgets import QGraphicsItem
 
-from dyknow.model.graph import PortRef, State
+from dyknow.model.graph import NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN, OUT
-from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.canvas.appearance import LEAST_TEXT, Appearance, Colours, Tone, height_of
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, Colours, Tone, height_of
 from dyknow_rqt.canvas.items import PORT_RADIUS, Item, Mark, PortItem, write
 from dyknow_rqt.graph.figure import Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Size
-from dyknow_rqt.graph.rates import Strain
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
+from dyknow_rqt.graph.measurements import Strain
 
 #: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
 _OVER = 4.0
@@ -54,28 +42,29 @@ class VertexItem(Item):
     def __init__(self, vertex: Vertex, colours: Colours, font: QFont) -> None:
         super().__init__(colours)
         self.vertex, self.key = vertex, vertex.key
-        self.appearance = Appearance()
-        self.ports: Dict[str, PortItem] = {}
+        self.state = State.RUNNING
+        self.is_protected = self.is_cpp = False
+        self.ports: dict[str, PortItem] = {}
         self._font = font
         self._metrics = QFontMetricsF(font)
         self._height = height_of(font)
         self._cut_for, self._cut_text, self._cut_width = ("", 0.0, 0.0), "", 0.0
-        self._size = Size(0, 0)
+        self.size = Size(0, 0)
         self._is_downwards = False
         self._label = ""
         self.found = False
         self.strain = Strain()
         #: The state of the nodelet that it shows.
-        self.shown: Optional[NodeletStatus] = None
+        self.shown: NodeletStatus | None = None
         self.setAcceptHoverEvents(True)
         self.setFlag(QGraphicsItem.ItemIsSelectable)
         self.setZValue(10)  # names of ports are read above rates
 
     def set_vertex(self, vertex: Vertex, size: Size, is_downwards: bool = False) -> None:
         """Change its size and ports, which are at its sides, or above and below it."""
-        if (vertex, size, is_downwards) == (self.vertex, self._size, self._is_downwards):
+        if (vertex, size, is_downwards) == (self.vertex, self.size, self._is_downwards):
             return
-        self.vertex, self._size, self._is_downwards = vertex, size, is_downwards
+        self.vertex, self.size, self._is_downwards = vertex, size, is_downwards
         self.shown = None  # its ports may have changed
         self._label = vertex.label
         self.setRect(self.area.adjusted(-5 - _BESIDE / 2, -5, 5 + _BESIDE / 2, 5))
@@ -92,13 +81,10 @@ class VertexItem(Item):
                     self.ports[name].set_far(self.is_far)
                 self.ports[name].setPos(self._port_place(number, len(names), side))
 
-    @property
-    def size(self) -> Size:
-        return self._size
-
-    def set_appearance(self, appearance: Appearance) -> None:
-        if appearance != self.appearance:
-            self.appearance = appearance
+    def set_state(self, state: State, is_protected: bool = False, is_cpp: bool = False) -> None:
+        looks = state, is_protected, is_cpp
+        if looks != (self.state, self.is_protected, self.is_cpp):
+            self.state, self.is_protected, self.is_cpp = looks
             self.look_again()
 
     def set_strain(self, strain: Strain) -> None:
@@ -125,22 +111,22 @@ class VertexItem(Item):
         if port in self.ports:
             return self.pos() + self.ports[port].pos()
         side = 0.5 if leaving else -0.5
-        width, height = self._size
+        width, height = self.size
         off = QPointF(0, side * height) if self._is_downwards else QPointF(side * width, 0)
         return self.pos() + off
 
     @property
     def area(self) -> QRectF:
-        width, height = self._size
+        width, height = self.size
         return QRectF(-width / 2, -height / 2, width, height)
 
     @property
-    def inked(self) -> List[QRectF]:
+    def inked(self) -> list[QRectF]:
         """Areas that nothing else may cover, which hold it and its ports."""
         shares = [(1.0, 0.6), (0.8, 0.8), (0.6, 1.0)]  # around an ellipse
         if self.vertex.kind.is_square:
             shares = [(1.0, 1.0)]
-        width, height = self._size
+        width, height = self.size
         areas = [
             QRectF(-across * width / 2, -down * height / 2, across * width, down * height)
             for across, down in shares
@@ -161,7 +147,6 @@ class VertexItem(Item):
             path.addEllipse(self.area)
         return path
 
-    @qt_slot
     def paint(self, painter: QPainter, option: Any, widget: Any = None) -> None:
         if self.mark is not None:
             self.paint_mark(painter, self.shape())
@@ -175,7 +160,7 @@ class VertexItem(Item):
                 wider = max(0.0, self._cut_width * larger * _AROUND - area.width()) / 2
                 area = area.adjusted(-wider, 0, wider, 0)
         painter.setPen(self.stroke())
-        painter.setBrush(QBrush(self.fill()))
+        painter.setBrush(self.fill())
         if self.vertex.kind.is_square:
             painter.drawRect(area)
             if self.vertex.kind is VertexKind.BOX:
@@ -183,7 +168,7 @@ class VertexItem(Item):
                 painter.drawRect(area)
         else:
             painter.drawEllipse(area)
-            if self.appearance.is_protected:
+            if self.is_protected:
                 painter.setBrush(Qt.NoBrush)
                 painter.drawEllipse(area.adjusted(3, 3, -3, -3))
         painter.setFont(self._font)
@@ -200,7 +185,7 @@ class VertexItem(Item):
             painter.drawLine(self.area.bottomLeft(), self.area.topRight())
 
     @property
-    def ring(self) -> Tuple[QPen, float]:
+    def ring(self) -> tuple[QPen, float]:
         """The pen of the ring around it, and the share of the circle; 0 for no ring.
 
         A whole one of dots stands for errors, an arc from the top for the share of a core.
@@ -229,7 +214,7 @@ class VertexItem(Item):
         return self._cut_text
 
     def _port_place(self, number: int, count: int, side: str) -> QPointF:
-        width, height = self._size
+        width, height = self.size
         share = 2 * (number + 1) / (count + 1) - 1
         off = math.sqrt(1 - share**2) * (-1 if side == IN else 1)
         if self._is_downwards:
@@ -251,16 +236,16 @@ class VertexItem(Item):
         colour, width, style = self.colours.line, 1.2, Qt.SolidLine
         if self.vertex.kind is VertexKind.NODE:
             colour = self.colours.box_line
-        if self.appearance.state is State.FAILED:
+        if self.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.appearance.state is State.LOST or self.vertex.kind in _DASHED:
+        elif self.state is State.LOST or self.vertex.kind in _DASHED:
             colour, style = self.colours.muted, Qt.DashLine
-        elif self.appearance.state is State.STARTING:
+        elif self.state is State.STARTING:
             style = Qt.DotLine
         return QPen(colour, width, style)
 
     def fill(self) -> QColor:
-        if self.appearance.state not in (State.RUNNING, State.STARTING):
+        if self.state not in (State.RUNNING, State.STARTING):
             return self.colours.paper
         if self.tone is Tone.KEPT:
             return self.colours.kept
@@ -272,30 +257,24 @@ class VertexItem(Item):
     def _text_colour(self) -> Any:
         if self.tone is not Tone.NONE:
             return self.colours.of(self.tone)
-        if self.appearance.state is State.FAILED:
+        if self.state is State.FAILED:
             return self.colours.alarm
-        quiet = self.vertex.kind is VertexKind.NODE or self.appearance.state is State.LOST
+        quiet = self.vertex.kind is VertexKind.NODE or self.state is State.LOST
         return self.colours.muted if quiet else self.colours.text
 
     def _badge(self) -> str:
         if self.vertex.kind is not VertexKind.NODELET:
             return ""
-        words = [
-            word
-            for word, holds in (
-                ("C++", self.appearance.is_cpp),
-                ("protected", self.appearance.is_protected),
-                (self.appearance.state.name.lower(), self.appearance.state is not State.RUNNING),
-            )
-            if holds
-        ]
+        words = ["C++"] if self.is_cpp else []
+        words += ["protected"] if self.is_protected else []
+        words += [self.state.name.lower()] if self.state is not State.RUNNING else []
         return " · ".join(words)
 
     def _paint_badge(self, painter: QPainter, text: str, larger: float) -> None:
         font = QFont(self._font)
         font.setPointSizeF(self._font.pointSizeF() * _BADGE)
         painter.setFont(font)
-        alarm = self.appearance.state is State.FAILED
+        alarm = self.state is State.FAILED
         painter.setPen(self.colours.alarm if alarm else self.colours.muted)
         lines = self._label.count("\n") + 1
         top = self._metrics.height() * lines / 2 - 5

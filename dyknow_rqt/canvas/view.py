@@ -5,20 +5,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, Optional, Union
+from typing import Any, Iterable, Union
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QPainter, QTransform
 from python_qt_binding.QtWidgets import QApplication, QFrame, QGraphicsView
 
 from dyknow.model.graph import PortRef
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.canvas.arrows import EdgeItem
-from dyknow_rqt.canvas.items import Item, PortItem
-from dyknow_rqt.canvas.minimap import Minimap
+from dyknow_rqt.canvas.items import Item, PortItem, Wire
+from dyknow_rqt.canvas.overview import Minimap
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.canvas.vertices import VertexItem
-from dyknow_rqt.canvas.wire import Wire
 from dyknow_rqt.graph.figure import Edge, VertexKind
 from dyknow_rqt.graph.geometry import Point
 
@@ -70,10 +68,9 @@ class GraphView(QGraphicsView):
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
     menu_wanted = Signal(object, QPoint)
 
-    def __init__(self, report: Callable[[str], None]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.report = report
-        self.setScene(GraphScene(self.palette(), self.font(), report, self))
+        self.setScene(GraphScene(self.palette(), self.font(), self))
         self.setRenderHint(QPainter.Antialiasing)
         self.setFrameShape(QFrame.NoFrame)
         self.setDragMode(QGraphicsView.ScrollHandDrag)
@@ -89,12 +86,12 @@ class GraphView(QGraphicsView):
         #: Whether hands may change the graph.
         self.is_editable = True
         self._target: Target = None
-        self._ground: Optional[QPoint] = None
+        self._ground: QPoint | None = None
         self._pressed = QPoint()
         #: The vertices that the pointer holds, with their places before they moved.
-        self._starts: Dict[str, QPointF] = {}
+        self._starts: dict[str, QPointF] = {}
         self._is_moving = False
-        self._minimap = Minimap(self.scene(), report, self)
+        self._minimap = Minimap(self.scene(), self)
         self._minimap.place_wanted.connect(self._show_place)
         for bar in (self.horizontalScrollBar(), self.verticalScrollBar()):
             bar.valueChanged.connect(self._follow)
@@ -159,7 +156,6 @@ class GraphView(QGraphicsView):
         self.scale(factor, factor)
         self._follow()
 
-    @qt_slot
     def resizeEvent(self, event: Any) -> None:  # noqa: N802
         """Fit again, unless the user has zoomed or moved the view."""
         super().resizeEvent(event)
@@ -167,7 +163,6 @@ class GraphView(QGraphicsView):
             self.fit()
         self._follow()
 
-    @qt_slot
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))
 
@@ -180,7 +175,6 @@ class GraphView(QGraphicsView):
 
     # Pointer
 
-    @qt_slot
     def mousePressEvent(self, event: Any) -> None:  # noqa: N802
         """Start a connection on a port; anything else as usual."""
         is_drag = event.button() == Qt.LeftButton and self.is_editable
@@ -202,7 +196,6 @@ class GraphView(QGraphicsView):
         self.drag_began.emit(port.ref)
         self._tell_target(port, None, event.pos())
 
-    @qt_slot
     def mouseMoveEvent(self, event: Any) -> None:  # noqa: N802
         if self._starts and event.buttons() & Qt.LeftButton:
             self._is_moving = self._is_moving or self._is_far_from_press(event.pos())
@@ -220,7 +213,6 @@ class GraphView(QGraphicsView):
         self.wire.lead(start, self.mapToScene(event.pos()))
         self._tell_target(start, self._target_at(event.pos()), event.pos())
 
-    @qt_slot
     def mouseReleaseEvent(self, event: Any) -> None:  # noqa: N802
         start = self._drag_start()
         if start is None:
@@ -237,12 +229,10 @@ class GraphView(QGraphicsView):
         if target != start.ref and way.manhattanLength() >= QApplication.startDragDistance():
             self.dropped.emit(start.ref, target, self.mapToScene(event.pos()))
 
-    @qt_slot
     def leaveEvent(self, event: Any) -> None:  # noqa: N802
         super().leaveEvent(event)
         self.scene().highlight(None)
 
-    @qt_slot
     def mouseDoubleClickEvent(self, event: Any) -> None:  # noqa: N802
         item = self._item_at(event.pos())
         group = self.scene().box_at(self.mapToScene(event.pos()))
@@ -253,7 +243,6 @@ class GraphView(QGraphicsView):
         else:
             super().mouseDoubleClickEvent(event)
 
-    @qt_slot
     def contextMenuEvent(self, event: Any) -> None:  # noqa: N802
         """Request a menu on the item under the pointer, or on the selection."""
         if event.reason() == event.Keyboard:
@@ -276,7 +265,6 @@ class GraphView(QGraphicsView):
             return True
         return bool(super().event(event))
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         """Arrow keys select the next item in their direction; with Ctrl they move the view."""
         key = event.key()
@@ -323,14 +311,12 @@ class GraphView(QGraphicsView):
 
     # Inside
 
-    @qt_slot
     def _follow(self) -> None:
         self.scene().set_zoom(self.zoom * self.devicePixelRatioF(), self.seen)
         if self.scene().has_sticky_titles(self.seen):
             self.viewport().update()  # they do not move with the drawing
         self._minimap.follow(self.seen)
 
-    @qt_slot
     def _show_place(self, place: QPointF) -> None:
         self.is_chosen = True
         self.centerOn(place)
@@ -362,7 +348,7 @@ class GraphView(QGraphicsView):
             items = self.scene().vertices.items()
             self.moved.emit({k: Point(item.x(), item.y()) for k, item in items if k in starts})
 
-    def _drag_start(self) -> Optional[PortItem]:
+    def _drag_start(self) -> PortItem | None:
         """The port that a connection is drawn from; the drag ends if it has gone."""
         start = self.wire.start
         if start is not None and self.scene().port_item(start.ref) is not start:
@@ -388,12 +374,12 @@ class GraphView(QGraphicsView):
             return item.vertex.name
         return item.edge if isinstance(item, EdgeItem) else None
 
-    def _port_at(self, place: QPoint) -> Optional[PortItem]:
-        found: Optional[PortItem] = self._hit(place, PortItem)
+    def _port_at(self, place: QPoint) -> PortItem | None:
+        found: PortItem | None = self._hit(place, PortItem)
         return found
 
-    def _item_at(self, place: QPoint) -> Union[None, EdgeItem, VertexItem]:
-        found: Union[None, EdgeItem, VertexItem] = self._hit(place, VertexItem, EdgeItem)
+    def _item_at(self, place: QPoint) -> None | EdgeItem | VertexItem:
+        found: None | EdgeItem | VertexItem = self._hit(place, VertexItem, EdgeItem)
         return found
 
     def _hit(self, place: QPoint, *kinds: type) -> Any:
@@ -402,6 +388,6 @@ class GraphView(QGraphicsView):
         items = (item for item in self.items(area) if item.isEnabled())
         return next((item for item in items if isinstance(item, kinds)), None)
 
-    def place_of(self, ref: PortRef) -> Optional[QPoint]:
+    def place_of(self, ref: PortRef) -> QPoint | None:
         port = self.scene().port_item(ref)
         return self.mapFromScene(port.scenePos()) if port is not None else None

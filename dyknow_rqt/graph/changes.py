@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Callable, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Tuple
+from typing import Callable, Mapping, NamedTuple, NoReturn, Sequence, Tuple
 
 from dyknow.errors import DyKnowError, StreamRefused
 from dyknow.manager.steps import (
@@ -44,19 +44,12 @@ class CannotLoad(DyKnowError):
 
 @dataclass(frozen=True)
 class Present:
-    """The state in which a change is made.
-
-    Attributes:
-        client: makes the change.
-        snapshot: the graph before the change.
-        library: the transformations before the change, by label.
-        outcome: words about the result, which steps add.
-    """
+    """The state in which a client makes a change; steps add words about its outcome."""
 
     client: BaseManagerClient
     snapshot: Snapshot = field(default_factory=Snapshot)
     library: Mapping[str, Transformation] = field(default_factory=dict)
-    outcome: List[str] = field(default_factory=list)
+    outcome: list[str] = field(default_factory=list)
 
 
 class DoneChange(NamedTuple):
@@ -108,8 +101,8 @@ class UndoHistory:
     """The changes that can be undone, and those that can be redone."""
 
     def __init__(self) -> None:
-        self._done: List[DoneChange] = []
-        self._undone: List[Change] = []
+        self._done: list[DoneChange] = []
+        self._undone: list[Change] = []
 
     def note(self, done: DoneChange) -> None:
         """Note a change; nothing can be redone after it."""
@@ -131,17 +124,17 @@ class UndoHistory:
         self._done.pop()
 
     @property
-    def last(self) -> Optional[DoneChange]:
+    def last(self) -> DoneChange | None:
         """The change that undo undoes, or None."""
         return self._done[-1] if self._done else None
 
     @property
-    def next(self) -> Optional[Change]:
+    def next(self) -> Change | None:
         """The change that redo makes, or None."""
         return self._undone[-1] if self._undone else None
 
     @property
-    def texts(self) -> Tuple[str, str]:
+    def texts(self) -> tuple[str, str]:
         """The changes that undo and redo would make, in words; empty for none."""
         return (
             self.last.change.text if self.last is not None else "",
@@ -214,7 +207,7 @@ def destroy(name: str) -> Change:
 def isolate(names: Sequence[str], on: bool) -> Change:
     """Make nodelets again, with their wiring, in processes of their own, or in a shared one."""
 
-    def make(name: str, present: Present, pinned: Mapping[str, str]) -> List[ReversibleStep]:
+    def make(name: str, present: Present, pinned: Mapping[str, str]) -> list[ReversibleStep]:
         nodelet = present.snapshot.nodelet(name)
         if nodelet is None or nodelet.transformation not in present.library:
             raise CannotUndo(f"the library does not have the transformation of {name}")
@@ -234,7 +227,7 @@ def isolate(names: Sequence[str], on: bool) -> Change:
         )
         return [end, *making(after, made, client)]
 
-    def plan(present: Present) -> List[ReversibleStep]:
+    def plan(present: Present) -> list[ReversibleStep]:
         pinned = pins(present.client.list_hosts())
         return [step for name in names for step in make(name, present, pinned)]
 
@@ -311,7 +304,7 @@ def add_transformations(specification: str, origin: str = "a specification") -> 
 
     def make(present: Present) -> DoAndUndo:
         client, library = present.client, present.library
-        labels: List[str] = []
+        labels: list[str] = []
 
         def add() -> None:
             added = client.add_transformation(specification)
@@ -334,7 +327,7 @@ def add_transformations(specification: str, origin: str = "a specification") -> 
 def remove_transformations(labels: Sequence[str]) -> Change:
     """Remove transformations from the library."""
 
-    def plan(present: Present) -> List[ReversibleStep]:
+    def plan(present: Present) -> list[ReversibleStep]:
         client, library = present.client, present.library
         return [
             ReversibleStep(
@@ -356,7 +349,7 @@ def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
     Applied, it raises CannotLoad with all problems.
     """
 
-    def plan(present: Present) -> List[ReversibleStep]:
+    def plan(present: Present) -> list[ReversibleStep]:
         client = present.client
         model, managers = client.get_model(), client.places()
         found = plan_load(wiring, model, managers, replace=True, any_manager=True)
@@ -371,7 +364,7 @@ def acquire(request: StreamRequest) -> Change:
     """Acquire a stream; one that is not possible yet is made when it becomes possible."""
 
     def make(present: Present) -> DoAndUndo:
-        claims: List[str] = []
+        claims: list[str] = []
 
         def ask() -> None:
             try:

@@ -9,19 +9,7 @@ import enum
 import os
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import (
-    AbstractSet,
-    Dict,
-    FrozenSet,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Set,
-    Tuple,
-)
+from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple, Tuple
 
 from dyknow.model.graph import NodeletStatus, PortRef
 from dyknow.model.transformation import IN
@@ -74,24 +62,18 @@ Group = Tuple[str, ...]
 
 @dataclass(frozen=True)
 class Vertex:
-    """An oval or a rectangle.
+    """An oval or a rectangle in the innermost of a group of boxes, with a note below its name.
 
-    Attributes:
-        key: unique in the figure, and the same for the same thing in every figure.
-        kind: nodelet, topic, ordinary node, collapsed box, waiting claim or planned nodelet.
-        name: global name.
-        group: the box that it stands in.
-        inputs: names of in-ports, in the order of declaration.
-        outputs: names of out-ports.
-        note: a line below the name.
+    The key is unique in the figure, and the same for the same thing in every figure. Ports are in
+    the order of declaration.
     """
 
     key: str
     kind: VertexKind
     name: str
     group: Group = ()
-    inputs: Tuple[str, ...] = ()
-    outputs: Tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
     note: str = ""
 
     @property
@@ -128,19 +110,10 @@ class Edge(NamedTuple):
 class Options:
     """The options of the view.
 
-    Attributes:
-        topics: draw topics as rectangles; else arrows lead from nodelet to nodelet.
-        nodelet_filter: which nodelets and nodes.
-        topic_filter: which topics.
-        hide_dead_sinks: leave out topics without a receiver.
-        hide_leaf_topics: leave out topics with one end only.
-        hide_debug: leave out names that are in every graph.
-        show_nodes: show ordinary nodes that use these topics.
-        boxes: the grouping of boxes.
-        depth: how many parts of a namespace make boxes, or of a host and a nodelet manager; 0 for
-            no boxes.
-        collapsed: boxes that are drawn as one vertex.
-        is_downwards: let streams flow from top to bottom; else from left to right.
+    Without ``topics`` arrows lead from nodelet to nodelet. Dead sinks are topics without a
+    receiver, leaf topics those with one end only; ``nodes`` are ordinary ones. The depth says how
+    many parts of a namespace make boxes, or of a host and a nodelet manager; of collapsed boxes
+    each is one vertex.
     """
 
     topics: bool = True
@@ -152,7 +125,7 @@ class Options:
     show_nodes: bool = False
     boxes: Boxes = Boxes.NAMESPACES
     depth: int = 2
-    collapsed: FrozenSet[Group] = frozenset()
+    collapsed: frozenset[Group] = frozenset()
     is_downwards: bool = False
 
 
@@ -160,23 +133,18 @@ class Options:
 class Figure:
     """The things to draw; vertices and edges are sorted, so that equal figures look the same."""
 
-    vertices: Tuple[Vertex, ...] = ()
-    edges: Tuple[Edge, ...] = ()
+    vertices: tuple[Vertex, ...] = ()
+    edges: tuple[Edge, ...] = ()
     is_downwards: bool = False
 
-    def groups(self) -> List[Group]:
+    def groups(self) -> list[Group]:
         """Boxes, outer ones before those in them."""
         found = {v.group[:size] for v in self.vertices for size in range(1, len(v.group) + 1)}
         return sorted(found)
 
-    @property
-    def outer_groups(self) -> List[Group]:
-        """Boxes that are in no other."""
-        return [group for group in self.groups() if len(group) == 1]
-
-    def neighbours(self) -> Dict[str, Set[str]]:
+    def neighbours(self) -> dict[str, set[str]]:
         """Keys of the vertices that each vertex has an arrow to or from."""
-        found: Dict[str, Set[str]] = {vertex.key: set() for vertex in self.vertices}
+        found: dict[str, set[str]] = {vertex.key: set() for vertex in self.vertices}
         for edge in self.edges:
             found[edge.tail].add(edge.head)
             found[edge.head].add(edge.tail)
@@ -187,7 +155,7 @@ def key_of(kind: VertexKind, name: str) -> str:
     return f"{kind.value}_{name}"
 
 
-def edge_refs(edge: Edge) -> List[PortRef]:
+def edge_refs(edge: Edge) -> list[PortRef]:
     """The ports at the ends of an arrow, the in-port first."""
     nodelet = VertexKind.NODELET.value + "_"
     ends = ((edge.head, edge.head_port), (edge.tail, edge.tail_port))
@@ -197,13 +165,13 @@ def edge_refs(edge: Edge) -> List[PortRef]:
 def unboxed_figure_of(snapshot: Snapshot, options: Options) -> Figure:
     """Make the figure of a snapshot, all but its boxes."""
     ends = _Ends(snapshot, options)
-    vertices: List[Vertex] = []
+    vertices: list[Vertex] = []
     for name, nodelet in ends.nodelets.items():
         inputs = tuple(port.name for port in nodelet.ports if port.direction == IN)
         outputs = tuple(port.name for port in nodelet.ports if port.direction != IN)
         key = key_of(VertexKind.NODELET, name)
         vertices.append(Vertex(key, VertexKind.NODELET, name, (), inputs, outputs))
-    edges: List[Edge] = []
+    edges: list[Edge] = []
     for name, topic in snapshot.topics().items():
         if not (_wanted(name, options.topic_filter, options) and ends.shown(topic)):
             continue
@@ -261,15 +229,15 @@ class _Ends:
             for head, head_port in sinks:
                 yield Edge(tail, tail_port, head, head_port, topic.name)
 
-    def _sources(self, topic: Topic) -> List[Tuple[str, str]]:
+    def _sources(self, topic: Topic) -> list[tuple[str, str]]:
         nodes = (node.name for node in self.nodes if topic.name in node.publishes)
         return self._keys(topic.sources, nodes)
 
-    def _sinks(self, topic: Topic) -> List[Tuple[str, str]]:
+    def _sinks(self, topic: Topic) -> list[tuple[str, str]]:
         nodes = (node.name for node in self.nodes if topic.name in node.subscribes)
         return self._keys(topic.targets, nodes)
 
-    def _keys(self, refs: Iterable[PortRef], nodes: Iterable[str]) -> List[Tuple[str, str]]:
+    def _keys(self, refs: Iterable[PortRef], nodes: Iterable[str]) -> list[tuple[str, str]]:
         """The vertices of shown nodelets and nodes, with the ports of the nodelets."""
         ports = [ref for ref in refs if ref.nodelet in self.nodelets]
         keys = [(key_of(VertexKind.NODELET, ref.nodelet), ref.port) for ref in ports]
@@ -297,7 +265,7 @@ def figure_of(snapshot: Snapshot, options: Options) -> Figure:
 def _boxed(figure: Figure, depth: int) -> Figure:
     """Assign vertices to the boxes of their namespaces; topics alone make no box."""
     spaces = {v.key: tuple(with_namespaces(v.name)[:-1][:depth]) for v in figure.vertices}
-    homes: Set[Group] = set()
+    homes: set[Group] = set()
     for vertex in figure.vertices:
         if vertex.kind is not VertexKind.TOPIC:
             homes.update(spaces[vertex.key][:size] for size in range(depth + 1))
@@ -338,7 +306,7 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
     if not groups:
         return figure
     homes = {v.key: _outermost(v.group, groups) for v in figure.vertices}
-    counts: Dict[Group, int] = {}
+    counts: dict[Group, int] = {}
     for vertex in figure.vertices:
         home = homes[vertex.key]
         if home is not None:
@@ -349,7 +317,7 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
         for group, note in notes.items()
     ]
     others = [v for v in figure.vertices if homes[v.key] is None]
-    edges: Dict[object, Edge] = {}
+    edges: dict[object, Edge] = {}
     for edge in _led(figure.edges, homes):
         is_between_boxes = edge.tail_port == edge.head_port == ""
         edges.setdefault(edge[:4] if is_between_boxes else edge, edge)
@@ -360,7 +328,7 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
     )
 
 
-def _led(edges: Iterable[Edge], homes: Mapping[str, Optional[Group]]) -> Iterator[Edge]:
+def _led(edges: Iterable[Edge], homes: Mapping[str, Group | None]) -> Iterator[Edge]:
     """Lead arrows to the boxes that hold their ends."""
     for edge in edges:
         tail, head = homes[edge.tail], homes[edge.head]
@@ -372,7 +340,7 @@ def _led(edges: Iterable[Edge], homes: Mapping[str, Optional[Group]]) -> Iterato
             yield edge
 
 
-def _outermost(group: Group, groups: AbstractSet[Group]) -> Optional[Group]:
+def _outermost(group: Group, groups: AbstractSet[Group]) -> Group | None:
     prefixes = (group[:size] for size in range(1, len(group) + 1))
     return next((prefix for prefix in prefixes if prefix in groups), None)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Callable, Iterable, List, Sequence, Tuple
+from typing import Callable, Iterable, Sequence
 
 _PLAIN = re.compile(r"[A-Za-z0-9_/]*\Z")
 
@@ -29,8 +29,8 @@ class Filter:
     excludes. If all parts exclude, everything else is included.
     """
 
-    includes: Tuple[Callable[[str], bool], ...] = ()
-    excludes: Tuple[Callable[[str], bool], ...] = ()
+    includes: tuple[Callable[[str], bool], ...] = ()
+    excludes: tuple[Callable[[str], bool], ...] = ()
 
     def __call__(self, name: str) -> bool:
         if any(exclude(name) for exclude in self.excludes):
@@ -40,8 +40,8 @@ class Filter:
 
 def parse(text: str) -> Filter:
     """Read a filter; a part that is neither a name nor a regular expression is a BadFilter."""
-    includes: List[Callable[[str], bool]] = []
-    excludes: List[Callable[[str], bool]] = []
+    includes: list[Callable[[str], bool]] = []
+    excludes: list[Callable[[str], bool]] = []
     for part in _parts(text):
         if part.startswith("-"):
             if part[1:].strip():
@@ -51,7 +51,7 @@ def parse(text: str) -> Filter:
     return Filter(tuple(includes), tuple(excludes))
 
 
-def completions(text: str, names: Iterable[str]) -> List[str]:
+def completions(text: str, names: Iterable[str]) -> list[str]:
     """Whole texts, sorted, whose last part is completed to a name or a namespace."""
     head, comma, last = text.rpartition(",")
     stem = last.strip()
@@ -62,11 +62,7 @@ def completions(text: str, names: Iterable[str]) -> List[str]:
     return [prefix + name for name in sorted(known) if name.startswith(stem) and name != stem]
 
 
-def _parts(text: str) -> Sequence[str]:
-    return [part.strip() for part in _split(text) if part.strip()]
-
-
-def _split(text: str) -> List[str]:
+def _parts(text: str) -> list[str]:
     """Split at commas that do not stand in brackets: ``/a{1,2}`` is one part."""
     parts, depth = [""], 0
     for character in text:
@@ -75,7 +71,7 @@ def _split(text: str) -> List[str]:
             parts.append("")
         else:
             parts[-1] += character
-    return parts
+    return [part.strip() for part in parts if part.strip()]
 
 
 def _matcher(part: str) -> Callable[[str], bool]:
@@ -89,13 +85,13 @@ def _matcher(part: str) -> Callable[[str], bool]:
     return lambda name: pattern.match(name) is not None
 
 
-def with_namespaces(name: str) -> List[str]:
+def with_namespaces(name: str) -> list[str]:
     """Return the namespaces that a name is in, the outermost first, and the name."""
     pieces = name.strip("/").split("/")
     return ["/" + "/".join(pieces[: count + 1]) for count in range(len(pieces))]
 
 
-def tag_completions(text: str, tags: Sequence[str]) -> List[str]:
+def tag_completions(text: str, tags: Sequence[str]) -> list[str]:
     """Complete a tag, or within its parentheses the next of its arguments."""
     concept, opened, inside = text.rpartition("(")
     if not opened or ")" in inside:

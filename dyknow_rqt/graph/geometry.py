@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Layouts: places of vertices, curves, boxes and labels, as values."""
+"""Layouts: places of vertices, curves, boxes and labels, as values; those that the user chose."""
 
 from __future__ import annotations
 
+import json
+import zlib
 from dataclasses import dataclass, field
-from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow_rqt.graph.figure import Edge, Figure
 
@@ -61,7 +63,7 @@ class Rectangle(NamedTuple):
         )
 
     @property
-    def sides(self) -> Tuple[Rectangle, ...]:
+    def sides(self) -> tuple[Rectangle, ...]:
         left, top, right, bottom = self
         return (
             Rectangle(left - 1, top, left + 1, bottom),
@@ -88,17 +90,14 @@ def around(centre: Point, size: Size) -> Rectangle:
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of the vertices, edges and boxes of a figure.
+    """Centres of vertices, boxes, and curves from tail to head.
 
-    Attributes:
-        centres: of the vertices, by key.
-        curves: control points of cubic Bézier curves, 3 n + 1 of them, from tail to head.
-        boxes: of namespaces.
+    Curves have the control points of cubic Bézier curves, 3 n + 1 of them.
     """
 
     centres: Mapping[str, Point] = field(default_factory=dict)
-    curves: Mapping[Edge, Tuple[Point, ...]] = field(default_factory=dict)
-    boxes: Mapping[Tuple[str, ...], Rectangle] = field(default_factory=dict)
+    curves: Mapping[Edge, tuple[Point, ...]] = field(default_factory=dict)
+    boxes: Mapping[tuple[str, ...], Rectangle] = field(default_factory=dict)
 
     def turned(self) -> Layout:
         """Swap x and y: from left to right becomes from top to bottom; it has no boxes then."""
@@ -127,13 +126,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with the sizes and the places of its parts.
+    """A figure, whose ports are in an order without crossings, with sizes and places.
 
-    Attributes:
-        figure: the drawn figure; the ports of its vertices are in an order without crossings.
-        sizes: of the vertices.
-        layout: places of all parts.
-        is_anew: made without regard to the drawing before.
+    One that is made anew is made without regard to the drawing before.
     """
 
     figure: Figure = field(default_factory=Figure)
@@ -142,7 +137,7 @@ class Drawing:
     is_anew: bool = False
 
 
-def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) -> Tuple[Point, ...]:
+def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) -> tuple[Point, ...]:
     """Lead an arrow from the right end of one vertex to the left end of another."""
     start = Point(tail.x + tail_size.width / 2, tail.y)
     end = Point(head.x - head_size.width / 2, head.y)
@@ -151,19 +146,19 @@ def curve_between(tail: Point, tail_size: Size, head: Point, head_size: Size) ->
 
 
 def boxes_around(
-    groups: Mapping[str, Tuple[str, ...]],
+    groups: Mapping[str, tuple[str, ...]],
     centres: Mapping[str, Point],
     sizes: Mapping[str, Size],
     is_turned: bool = False,
-) -> Dict[Tuple[str, ...], Rectangle]:
+) -> dict[tuple[str, ...], Rectangle]:
     """Draw boxes around the vertices of namespaces; above the contents is a line for the title.
 
     ``is_turned`` says that x and y are swapped.
     """
     margin, title = 8.0, 20.0
-    found: Dict[Tuple[str, ...], Rectangle] = {}
+    found: dict[tuple[str, ...], Rectangle] = {}
 
-    def include(group: Tuple[str, ...], part: Rectangle) -> None:
+    def include(group: tuple[str, ...], part: Rectangle) -> None:
         found[group] = found[group].joined(part) if group in found else part
 
     for key in sorted(groups):
@@ -199,25 +194,19 @@ def place_labels(
     curves: Mapping[Edge, Sequence[Point]],
     sizes: Mapping[Edge, Sequence[Size]],
     obstacles: Iterable[Rectangle],
-) -> Dict[Edge, Rectangle]:
+) -> dict[Edge, Rectangle]:
     """Place labels beside their curves, as near to the middle as there is room.
 
-    Args:
-        curves: control points of cubic Bézier curves, 3 n + 1 of them.
-        sizes: those that each label may have, the best first; the tallest labels, which have
-            most to say, are placed first.
-        obstacles: rectangles that labels must not cover, besides curves and each other.
-
-    Returns:
-        The areas of the labels; those that find no room are left out.
+    Those without room are left out. A label has one of its sizes, the best first; the tallest
+    labels, which have most to say, are placed first. None covers an obstacle, a curve or another.
     """
     paths = {edge: list(_points(curve)) for edge, curve in curves.items()}
     ground = _Ground()
     for area in obstacles:
         ground.take(area)
     for path in paths.values():
-        for start, end in zip(path, path[1:]):
-            ground.take(_between(start, end))
+        for (a, b), (c, d) in zip(path, path[1:]):
+            ground.take(Rectangle(min(a, c), min(b, d) - 0.5, max(a, c), max(b, d) + 0.5))
     places = {}
     for edge in sorted(sizes, key=lambda edge: (-sizes[edge][0].height, edge)):
         if not any(map(ground.is_free, _candidates(paths[edge], sizes[edge][-1]))):
@@ -228,7 +217,7 @@ def place_labels(
     return places
 
 
-def _candidates(path: List[Point], size: Size) -> Iterator[Rectangle]:
+def _candidates(path: list[Point], size: Size) -> Iterator[Rectangle]:
     """Areas beside the curve, above it and near its middle first."""
     middle = len(path) // 2
     places = (
@@ -254,16 +243,11 @@ def _points(curve: Sequence[Point]) -> Iterator[Point]:
             )
 
 
-def _between(start: Point, end: Point) -> Rectangle:
-    (a, b), (c, d) = start, end
-    return Rectangle(min(a, c), min(b, d) - 0.5, max(a, c), max(b, d) + 0.5)
-
-
 class _Ground:
     """Areas that are taken, by the squares that they touch."""
 
     def __init__(self) -> None:
-        self._taken: Dict[Tuple[int, int], List[Rectangle]] = {}
+        self._taken: dict[tuple[int, int], list[Rectangle]] = {}
 
     def take(self, area: Rectangle) -> None:
         for cell in self._cells(area):
@@ -274,8 +258,62 @@ class _Ground:
             area.meets(other) for cell in self._cells(area) for other in self._taken.get(cell, ())
         )
 
-    def _cells(self, area: Rectangle) -> List[Tuple[int, int]]:
+    def _cells(self, area: Rectangle) -> list[tuple[int, int]]:
         left, top, right, bottom = (int(side // _CELL) for side in area)
         return [
             (column, row) for column in range(left, right + 1) for row in range(top, bottom + 1)
         ]
+
+
+#: The most wirings whose places are kept.
+_MOST = 20
+
+
+class Places:
+    """Where the user has put vertices, for each wiring, known by the names of its nodelets.
+
+    A wiring that was not seen before takes over the places of the one before it.
+    """
+
+    def __init__(self) -> None:
+        self.present: dict[str, Point] = {}
+        self._wiring = ""
+        self._kept: dict[str, dict[str, Point]] = {}
+
+    def follow(self, nodelets: Iterable[str]) -> None:
+        """Turn to the wiring of these nodelets."""
+        wiring = f"{zlib.crc32(' '.join(sorted(nodelets)).encode()):08x}"
+        if wiring != self._wiring:
+            self._wiring = wiring
+            self.present = dict(self._kept.get(wiring, self.present))
+
+    def put(self, places: Mapping[str, Point]) -> None:
+        self.present.update(places)
+        self._keep()
+
+    def forget(self) -> None:
+        """Forget all places of the present wiring."""
+        self.present.clear()
+        self._keep()
+
+    def to_text(self) -> str:
+        self._keep()  # also what was taken over
+        return json.dumps(self._kept) if self._kept else ""
+
+    def read(self, text: str) -> None:
+        """Read what ``to_text`` wrote; a text that is not that is ignored."""
+        try:
+            self._kept = {
+                str(wiring): {str(key): Point(float(x), float(y)) for key, (x, y) in each.items()}
+                for wiring, each in json.loads(text or "{}").items()
+            }
+        except (AttributeError, TypeError, ValueError):
+            return
+        self.present = dict(self._kept.get(self._wiring, {}))
+
+    def _keep(self) -> None:
+        self._kept.pop(self._wiring, None)
+        if self.present:
+            self._kept[self._wiring] = dict(self.present)
+        for wiring in list(self._kept)[:-_MOST]:
+            del self._kept[wiring]

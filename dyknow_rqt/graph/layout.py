@@ -9,7 +9,7 @@ import contextlib
 import json
 import re
 from dataclasses import dataclass, field, replace
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 from dyknow.graphviz import quote
 from dyknow_rqt.graph.figure import Edge, Figure, Group, Vertex, VertexKind
@@ -17,12 +17,12 @@ from dyknow_rqt.graph.geometry import Drawing, Layout, Point, Size
 from dyknow_rqt.graph.parts import MOST, Page, Piece, finished, spread
 
 
-def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
+def without_crossings(figure: Figure, layout: Layout) -> list[Vertex]:
     """Sort the ports, from top to bottom, by their arrows.
 
     Ports without an arrow keep their places; the rest change places among themselves.
     """
-    heights: Dict[Tuple[str, str], List[Tuple[float, float]]] = {}
+    heights: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for edge in figure.edges:
         curve = layout.curves[edge]
         if edge.tail_port:
@@ -32,7 +32,7 @@ def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
             height = curve[-1].y, layout.centres[edge.tail].y
             heights.setdefault((edge.head, edge.head_port), []).append(height)
 
-    def ordered(key: str, ports: Sequence[str]) -> Tuple[str, ...]:
+    def ordered(key: str, ports: Sequence[str]) -> tuple[str, ...]:
         places = [place for place, port in enumerate(ports) if (key, port) in heights]
         by_height = sorted(
             (ports[place] for place in places), key=lambda port: _mean(heights[key, port])
@@ -48,7 +48,7 @@ def without_crossings(figure: Figure, layout: Layout) -> List[Vertex]:
     ]
 
 
-def _mean(heights: Sequence[Tuple[float, float]]) -> Tuple[float, float]:
+def _mean(heights: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Where the arrows of a port end at its nodelet and, if that is the same, where they lead."""
     at_nodelet, beyond = zip(*heights)
     return round(sum(at_nodelet) / len(heights)), sum(beyond) / len(heights)
@@ -67,11 +67,8 @@ def to_dot(
 ) -> str:
     """Write a figure as DOT.
 
-    Args:
-        figure: what to write.
-        sizes: of its vertices.
-        gap: pixels between ranks, for the words on an arrow.
-        around: the box in which all of it is, which is left out.
+    ``gap`` has the pixels between ranks, for the words on an arrow. The box ``around`` all of it
+    is left out.
     """
     lines = [
         "digraph dyknow {",
@@ -85,7 +82,7 @@ def to_dot(
     lines += _members(figure, sizes, around, "  ")
     tail, head = ("s", "n") if figure.is_downwards else ("e", "w")
     for number, edge in enumerate(figure.edges):
-        label = _ports(edge)
+        label = " → ".join(filter(None, (edge.tail_port, edge.head_port)))
         lines.append(
             f"  {quote(edge.tail)} -> {quote(edge.head)} "
             f'[id="e{number}", tailport="{tail}", headport="{head}", tooltip={quote(label)}'
@@ -96,7 +93,7 @@ def to_dot(
     return "\n".join(lines) + "\n"
 
 
-def read_graphs(answer: str) -> Dict[str, Any]:
+def read_graphs(answer: str) -> dict[str, Any]:
     """Read what ``dot -Tjson0`` answers for several graphs, by name; a rest is left out."""
     decoder, found, place = json.JSONDecoder(), {}, answer.find("{")
     with contextlib.suppress(ValueError, KeyError):
@@ -111,9 +108,9 @@ def read_layout(graph: Any, figure: Figure) -> Layout:
     """Read a graph of ``dot -Tjson0`` as a layout of a figure; else raise BadLayout."""
     try:
         height = float(graph["bb"].split(",")[3])
-        objects: List[Dict[str, Any]] = graph.get("objects", [])
+        objects: list[dict[str, Any]] = graph.get("objects", [])
         centres = {each["name"]: _point(each["pos"], height) for each in objects if "pos" in each}
-        edges: List[Dict[str, Any]] = graph.get("edges", [])
+        edges: list[dict[str, Any]] = graph.get("edges", [])
         curves = {figure.edges[int(each["id"][1:])]: _curve(each["pos"], height) for each in edges}
         wanted = {vertex.key for vertex in figure.vertices}
         if not wanted <= set(centres) or len(curves) != len(figure.edges):
@@ -124,12 +121,12 @@ def read_layout(graph: Any, figure: Figure) -> Layout:
 
 
 def _members(
-    figure: Figure, sizes: Mapping[str, Size], group: Tuple[str, ...], indent: str
-) -> List[str]:
+    figure: Figure, sizes: Mapping[str, Size], group: tuple[str, ...], indent: str
+) -> list[str]:
     lines = [indent + _vertex(v, sizes[v.key]) for v in figure.vertices if v.group == group]
     for inner in figure.groups():
         if inner[:-1] == group:
-            lines.append(f"{indent}subgraph {quote(_cluster(inner))} {{")
+            lines.append(f"{indent}subgraph {quote('cluster_' + ' '.join(inner))} {{")
             lines.append(f'{indent}  label={quote(inner[-1])}; labeljust="l";')
             lines += _members(figure, sizes, inner, indent + "  ")
             lines.append(indent + "}")
@@ -144,16 +141,8 @@ def _vertex(vertex: Vertex, size: Size) -> str:
     )
 
 
-def _cluster(group: Tuple[str, ...]) -> str:
-    return "cluster_" + " ".join(group)
-
-
 def _touches_topic(edge: Edge) -> bool:
     return any(key.startswith(VertexKind.TOPIC.value + "_") for key in (edge.tail, edge.head))
-
-
-def _ports(edge: Edge) -> str:
-    return " → ".join(part for part in (edge.tail_port, edge.head_port) if part)
 
 
 def _point(text: str, height: float) -> Point:
@@ -161,7 +150,7 @@ def _point(text: str, height: float) -> Point:
     return Point(float(x), height - float(y))
 
 
-def _curve(text: str, height: float) -> Tuple[Point, ...]:
+def _curve(text: str, height: float) -> tuple[Point, ...]:
     """Read a spline: ``e,`` or ``s,`` marks where the tip of an arrow is, which ends the curve."""
     text = text.split(";")[0]
     tip = re.match(r"e,([-\d.e+]+,[-\d.e+]+) ", text)
@@ -175,15 +164,10 @@ def _curve(text: str, height: float) -> Tuple[Point, ...]:
 
 @dataclass(frozen=True)
 class DrawingOrder:
-    """A figure that is to be drawn.
+    """A figure that is to be drawn in a view of a shape, width by height.
 
-    Attributes:
-        figure: the vertices, arrows and boxes.
-        sizes: of its vertices.
-        gap: pixels between ranks, for the words on an arrow.
-        shape: of the view, width by height.
-        anew: whether to ignore the last drawing.
-        places: where the user has put vertices.
+    ``gap`` has the pixels between ranks, for the words on an arrow; ``anew`` ignores the last
+    drawing, but not the places where the user has put vertices.
     """
 
     figure: Figure
@@ -198,17 +182,12 @@ def arranged(
     order: DrawingOrder,
     parts: Sequence[Piece],
     layouts: Mapping[Piece, Layout],
-    before: Optional[Drawing] = None,
+    before: Drawing | None = None,
 ) -> Drawing:
-    """Arrange the parts of a figure.
+    """Arrange the parts of a figure: those that graphviz has not laid out are spread.
 
-    All but graphviz works from left to right, and a downward flow is turned for that.
-
-    Args:
-        order: what to draw.
-        parts: of its figure.
-        layouts: those that graphviz has made; other parts are spread.
-        before: the drawing on the screen; None to make a drawing without regard to it.
+    All but graphviz works from left to right, and a downward flow is turned for that. ``before``
+    is the drawing on the screen; None to make one without regard to it.
     """
     figure, sizes, shape, places = order.figure, order.sizes, order.shape, order.places
     is_turned = figure.is_downwards
@@ -236,5 +215,5 @@ def arranged(
     return Drawing(replace(figure, vertices=vertices), sizes, layout, before is None)
 
 
-def _turned_sizes(sizes: Mapping[str, Size]) -> Dict[str, Size]:
+def _turned_sizes(sizes: Mapping[str, Size]) -> dict[str, Size]:
     return {key: Size(*size[::-1]) for key, size in sizes.items()}

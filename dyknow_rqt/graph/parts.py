@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Iterator, Mapping, Sequence
 
 from dyknow_rqt.graph.figure import Edge, Figure, Group, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import (
@@ -37,17 +37,14 @@ _TRIES = 40
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of a figure.
+    """A part of a figure, inside of boxes of a depth, with the arrows between its vertices.
 
-    Attributes:
-        figure: its vertices, and the arrows between them.
-        depth: how many boxes it is in.
-        parts: those in its box; empty if graphviz lays it out as a whole.
+    It has parts if it is one box, else graphviz lays it out as a whole.
     """
 
     figure: Figure
     depth: int
-    parts: Tuple[Piece, ...] = ()
+    parts: tuple[Piece, ...] = ()
 
     @property
     def box(self) -> Group:
@@ -64,17 +61,13 @@ class Piece:
 
 def divide(
     figure: Figure, most: int = MOST, depth: int = 0, fineness: int = 0
-) -> Tuple[Piece, ...]:
-    """Divide a figure, in reading order.
+) -> tuple[Piece, ...]:
+    """Divide the inside of boxes of a depth, in reading order, into parts of ``most`` vertices.
 
-    Args:
-        figure: the inside of boxes of that depth.
-        most: vertices of a part that is not divided.
-        depth: of the boxes around it.
-        fineness: 0: arrows hold a part together; 1: those outside of boxes, and those of topics
-            outside; 2: only the former, and none where each vertex is a part.
+    Fineness 0: arrows hold a part together; 1: those outside of boxes, and those of topics
+    outside; 2: only the former, and none where each vertex is a part.
     """
-    found: List[Piece] = []
+    found: list[Piece] = []
     for piece in _components(figure, depth, fineness if most > 1 else 3):
         if len(piece.vertices) <= most:
             found.append(Piece(piece, depth))
@@ -87,9 +80,9 @@ def divide(
     return tuple(found)
 
 
-def _components(figure: Figure, depth: int, fineness: int) -> List[Figure]:
+def _components(figure: Figure, depth: int, fineness: int) -> list[Figure]:
     """Divide a figure into its connected components, in reading order."""
-    leaders: Dict[str, str] = {vertex.key: vertex.key for vertex in figure.vertices}
+    leaders: dict[str, str] = {vertex.key: vertex.key for vertex in figure.vertices}
 
     def leader(key: str) -> str:
         while leaders[key] != key:
@@ -97,7 +90,7 @@ def _components(figure: Figure, depth: int, fineness: int) -> List[Figure]:
             key = leaders[key]
         return key
 
-    boxes: Dict[str, str] = {}
+    boxes: dict[str, str] = {}
     inside = set()
     for vertex in figure.vertices:
         if len(vertex.group) > depth:
@@ -113,7 +106,7 @@ def _components(figure: Figure, depth: int, fineness: int) -> List[Figure]:
             held.add(ends[0])
         if is_held:
             leaders[leader(edge.tail)] = leader(edge.head)
-    found: Dict[str, Tuple[List[Vertex], List[Edge]]] = {}
+    found: dict[str, tuple[list[Vertex], list[Edge]]] = {}
     for vertex in figure.vertices:
         found.setdefault(leader(vertex.key), ([], []))[0].append(vertex)
     for edge in figure.edges:
@@ -126,7 +119,7 @@ def _components(figure: Figure, depth: int, fineness: int) -> List[Figure]:
     return sorted(figures, key=lambda each: min(_reading(v, depth) for v in each.vertices))
 
 
-def _reading(vertex: Vertex, depth: int) -> List[object]:
+def _reading(vertex: Vertex, depth: int) -> list[object]:
     """Sorts by boxes and names, numbers by their values."""
     text = " ".join((*vertex.group[depth:], vertex.name))
     return [int(each) if each.isdigit() else each for each in re.split(r"(\d+)", text)]
@@ -148,7 +141,7 @@ class Page:
         self._shape = shape
         self._is_turned = is_turned
 
-    def arrange(self, parts: Sequence[Piece], before: Optional[Drawing] = None) -> Layout:
+    def arrange(self, parts: Sequence[Piece], before: Drawing | None = None) -> Layout:
         """Arrange all parts of a figure.
 
         Those that are as they were ``before`` keep their places. Those that changed do so too if
@@ -158,7 +151,7 @@ class Page:
         vertices = [vertex.key for part in parts for vertex in part.figure.vertices]
         if before is None or 2 * sum(key in known for key in vertices) < len(vertices):
             return self._packed(parts, [self._laid_out(part) for part in parts])
-        old_edges: Dict[str, List[Edge]] = {}
+        old_edges: dict[str, list[Edge]] = {}
         for edge in before.figure.edges:
             old_edges.setdefault(edge.tail, []).append(edge)
         placed = {part: self._as_before(part, before, old_edges) for part in parts}
@@ -181,7 +174,7 @@ class Page:
             layouts.append(self._beside(taken, self._packed(*zip(*rest)), [p for p, _ in rest]))
         return _joined(layouts)
 
-    def _outlines(self, part: Piece, layout: Layout) -> List[Rectangle]:
+    def _outlines(self, part: Piece, layout: Layout) -> list[Rectangle]:
         """The areas of the outermost boxes of a part, and of the vertices beside these."""
         centres = {v.key: layout.centres[v.key] for v in part.figure.vertices}
         groups = {v.key: v.group[part.depth :] for v in part.figure.vertices}
@@ -209,7 +202,7 @@ class Page:
             moved.append(layout.moved(Point(x - area.left, y - area.top)))
         return _joined(moved)
 
-    def _beside(self, taken: List[Rectangle], layout: Layout, parts: Sequence[Piece]) -> Layout:
+    def _beside(self, taken: list[Rectangle], layout: Layout, parts: Sequence[Piece]) -> Layout:
         """Move a layout below or to the right of the others, where the page stays larger."""
         own = _area([a for part in parts for a in self._outlines(part, layout)])
         area = _area(taken)
@@ -227,7 +220,7 @@ class Page:
 
     def _as_before(
         self, part: Piece, before: Drawing, old_edges: Mapping[str, Sequence[Edge]]
-    ) -> Optional[Layout]:
+    ) -> Layout | None:
         """The layout of a part that has not changed; None if it has."""
         centres, curves = before.layout.centres, before.layout.curves
         keys = {vertex.key for vertex in part.figure.vertices}
@@ -239,7 +232,7 @@ class Page:
         return Layout({k: centres[k] for k in keys}, {e: curves[e] for e in part.figure.edges})
 
 
-def pack(sizes: Sequence[Size], shape: float) -> List[Point]:
+def pack(sizes: Sequence[Size], shape: float) -> list[Point]:
     """Set rectangles in lines from left to right, so that the page of that shape is largest."""
     widest = max(size.width for size in sizes) + _GAP
     total = sum(size.width + _GAP for size in sizes)
@@ -282,8 +275,8 @@ def finished(figure: Figure, layout: Layout, sizes: Mapping[str, Size]) -> Layou
 
 
 def _joined(layouts: Sequence[Layout]) -> Layout:
-    centres: Dict[str, Point] = {}
-    curves: Dict[Edge, Tuple[Point, ...]] = {}
+    centres: dict[str, Point] = {}
+    curves: dict[Edge, tuple[Point, ...]] = {}
     for layout in layouts:
         centres.update(layout.centres)
         curves.update(layout.curves)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 import numpy
 
@@ -33,14 +33,10 @@ _DEPTHS = {"16": "u2", "mono16": "u2", "32F": "f4"}
 
 
 class SmallImage(NamedTuple):
-    """An image of at most ``WIDEST`` times ``HIGHEST`` pixels.
+    """An image of at most ``WIDEST`` times ``HIGHEST`` pixels, with its full size and encoding.
 
-    Attributes:
-        width: in pixels.
-        height: in pixels.
-        data: red, green and blue of each pixel, from the top left; or if the width is 0 a
-            compressed image, such as a JPEG.
-        note: its full size and encoding.
+    The data are red, green and blue of each pixel, from the top left; or if the width is 0 a
+    compressed image, such as a JPEG.
     """
 
     width: int
@@ -51,30 +47,26 @@ class SmallImage(NamedTuple):
 
 @dataclass(frozen=True)
 class Sample:
-    """One message, for people.
+    """One message, for people: as ``rostopic echo`` writes it, long parts cut.
 
-    Attributes:
-        text: as ``rostopic echo`` writes it, long parts cut.
-        numbers: by the paths of the fields.
-        image: the message, if it is one.
-        size: in bytes.
+    Numbers are by the paths of the fields; the size is in bytes.
     """
 
     text: str
     numbers: Mapping[str, float] = field(default_factory=dict)
-    image: Optional[SmallImage] = None
+    image: SmallImage | None = None
     size: int = 0
 
 
 def sample_of(message: Any, size: int) -> Sample:
     """Reduce a message of ROS; it has ``size`` bytes."""
-    lines: List[str] = []
+    lines: list[str] = []
     for line in _lines(message, ""):
         if len(lines) == MOST_LINES:
             lines.append("…")
             break
         lines.append(line)
-    numbers: Dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for path, number in _numbers(message, ""):
         if len(numbers) == _MOST_NUMBERS:
             break
@@ -123,7 +115,7 @@ def _word(value: Any) -> str:
     return str(value)
 
 
-def _numbers(value: Any, path: str) -> Iterator[Tuple[str, float]]:
+def _numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
     if isinstance(value, (bool, int, float, numpy.number)):
         if math.isfinite(value):
             yield path, float(value)
@@ -138,7 +130,7 @@ def _numbers(value: Any, path: str) -> Iterator[Tuple[str, float]]:
                 yield from _numbers(getattr(value, name), f"{path}.{name}" if path else name)
 
 
-def _image(message: Any) -> Optional[SmallImage]:
+def _image(message: Any) -> SmallImage | None:
     kind = getattr(message, "_type", "")
     if kind == "sensor_msgs/CompressedImage":
         return SmallImage(0, 0, bytes(message.data), message.format)
@@ -152,7 +144,7 @@ def _image(message: Any) -> Optional[SmallImage]:
     return SmallImage(width, height, pixels.tobytes(), note)
 
 
-def _pixels(message: Any) -> Optional[Any]:
+def _pixels(message: Any) -> Any | None:
     """Every n-th pixel of an image as red, green and blue; None if it cannot be read."""
     step = max(-(-message.width // WIDEST), -(-message.height // HIGHEST), 1)
     encoding = message.encoding

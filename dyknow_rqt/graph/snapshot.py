@@ -1,33 +1,20 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The computation graph at one moment, as the window received it."""
+"""The computation graph at one moment, as the window received it, and over time."""
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
+from collections import Counter, deque
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import (
-    TYPE_CHECKING,
-    AbstractSet,
-    Dict,
-    FrozenSet,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from dyknow import names
-from dyknow.model.graph import PortRef, PortState
+from dyknow.model.graph import NodeletStatus, PortRef, PortState
+from dyknow.model.streams import StreamStatus
 from dyknow.model.transformation import IN
 from dyknow.wiring.ports import Topic, topics_of
-
-if TYPE_CHECKING:
-    from dyknow.model.graph import NodeletStatus
 
 #: One side of the master's system state: topics and the nodes that use them.
 Side = Sequence[Tuple[str, Sequence[str]]]
@@ -40,8 +27,8 @@ class PlainNode:
     """An ordinary ROS node that uses topics of nodelets."""
 
     name: str
-    publishes: Tuple[str, ...]
-    subscribes: Tuple[str, ...]
+    publishes: tuple[str, ...]
+    subscribes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -49,25 +36,25 @@ class Snapshot:
     """The computation graph at one moment; two are equal when there is nothing to redraw.
 
     Attributes:
-        nodelets: the nodelets of the manager's model.
+        nodelets: those of the manager's model.
         nodes: ordinary nodes that use topics of nodelets.
         taken: topics after out-ports that are not connected, where ordinary nodes publish.
         pending: tags of claims that wait, each with the reason.
     """
 
-    nodelets: Tuple[NodeletStatus, ...] = ()
-    nodes: Tuple[PlainNode, ...] = ()
-    taken: FrozenSet[str] = frozenset()
-    pending: Tuple[Tuple[str, str], ...] = ()
+    nodelets: tuple[NodeletStatus, ...] = ()
+    nodes: tuple[PlainNode, ...] = ()
+    taken: frozenset[str] = frozenset()
+    pending: tuple[tuple[str, str], ...] = ()
 
-    def nodelet(self, name: str) -> Optional[NodeletStatus]:
+    def nodelet(self, name: str) -> NodeletStatus | None:
         return self._by_name.get(name)
 
-    def port(self, ref: PortRef) -> Optional[PortState]:
+    def port(self, ref: PortRef) -> PortState | None:
         nodelet = self.nodelet(ref.nodelet)
         return nodelet.port(ref.port) if nodelet is not None else None
 
-    def shared(self, nodelets: Iterable[NodeletStatus]) -> Tuple[NodeletStatus, ...]:
+    def shared(self, nodelets: Iterable[NodeletStatus]) -> tuple[NodeletStatus, ...]:
         """Take the own values of nodelets that have not changed: these are compared at once."""
         pairs = ((each, self.nodelet(each.name)) for each in nodelets)
         return tuple(
@@ -79,42 +66,36 @@ class Snapshot:
         return self._topics
 
     @cached_property
-    def _by_name(self) -> Dict[str, NodeletStatus]:
+    def _by_name(self) -> dict[str, NodeletStatus]:
         return {each.name: each for each in self.nodelets}
 
     @cached_property
-    def _topics(self) -> Dict[str, Topic]:
+    def _topics(self) -> dict[str, Topic]:
         return {topic.name: topic for topic in topics_of(self.nodelets)}
 
 
 def plain_nodes(
     publishers: Side, subscribers: Side, topics: AbstractSet[str], hosts: AbstractSet[str]
-) -> Tuple[PlainNode, ...]:
+) -> tuple[PlainNode, ...]:
     """Find the ordinary nodes, all but the nodelet managers ``hosts``, that use these topics."""
-    published: Dict[str, List[str]] = {}
-    subscribed: Dict[str, List[str]] = {}
-    for side, used in ((publishers, published), (subscribers, subscribed)):
+    used: dict[str, tuple[list[str], list[str]]] = {}
+    for number, side in enumerate((publishers, subscribers)):
         for topic, nodes in side:
             for node in nodes:
                 if topic in topics and node not in hosts:
-                    used.setdefault(node, []).append(topic)
+                    used.setdefault(node, ([], []))[number].append(topic)
     return tuple(
-        PlainNode(
-            name, tuple(sorted(published.get(name, ()))), tuple(sorted(subscribed.get(name, ())))
-        )
-        for name in sorted({*published, *subscribed})
+        PlainNode(name, tuple(sorted(publishes)), tuple(sorted(subscribes)))
+        for name, (publishes, subscribes) in sorted(used.items())
     )
 
 
 def taken_topics(
     publishers: Side, nodelets: Sequence[NodeletStatus], hosts: AbstractSet[str]
-) -> FrozenSet[str]:
+) -> frozenset[str]:
     """Find topics after out-ports that are not connected, where ordinary nodes publish.
 
-    Args:
-        publishers: of all topics, as the master reports.
-        nodelets: all that run.
-        hosts: nodelet managers; their topics are used by their nodelets.
+    Topics of the nodelet managers ``hosts`` are used by their nodelets.
     """
     wishes = {
         names.topic_after(nodelet.name, port.name)
@@ -142,7 +123,7 @@ def connections_of(snapshot: Snapshot, refs: Sequence[PortRef], transports: Tran
     return ", ".join(f"{n} {what}" for what, n in sorted(found.items()) if n)
 
 
-def _way_of(snapshot: Snapshot, ref: PortRef) -> Tuple[str, str, str]:
+def _way_of(snapshot: Snapshot, ref: PortRef) -> tuple[str, str, str]:
     """The node, direction and topic of a port; empty if it is gone."""
     nodelet, port = snapshot.nodelet(ref.nodelet), snapshot.port(ref)
     return (nodelet.node, port.direction, port.topic) if nodelet and port else ("", "", "")
@@ -162,12 +143,122 @@ def not_destroyed(names: Sequence[str], snapshot: Snapshot) -> str:
     return not_ours(names, snapshot) or ("Release them from protection first" if is_held else "")
 
 
-def protection(names: Sequence[str], snapshot: Snapshot) -> Tuple[List[str], bool]:
-    """Decide how a switch of the protection of nodelets works.
-
-    Returns:
-        The nodelets to protect, those that are not yet; or if all are, all of them, to release.
-    """
+def protection(names: Sequence[str], snapshot: Snapshot) -> tuple[list[str], bool]:
+    """The nodelets to protect, those that are not yet; or if all are, all of them, to release."""
     nodelets = (snapshot.nodelet(name) for name in names)
     free = [each.name for each in nodelets if each is not None and not each.is_protected]
     return (free, True) if free or not names else (list(names), False)
+
+
+#: The most moments that are kept, and seconds within which changes are one.
+_MOST, _TOGETHER = 300, 0.5
+
+
+@dataclass(frozen=True)
+class GraphMoment:
+    """The graph and the claims after a change; ``time`` is in seconds since 1970."""
+
+    time: float
+    snapshot: Snapshot
+    streams: tuple[StreamStatus, ...] = ()
+
+    @property
+    def essence(self) -> object:
+        """The part that tells moments apart, without details that change by themselves."""
+        claims = [(s.claim_id, s.state, s.topic, s.nodelets) for s in self.streams]
+        return self.snapshot.nodelets, claims
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What came, went, moved and was mended since an earlier moment, and all of it in words.
+
+    Ports move when they are connected elsewhere; nodelets of claims are mended by others.
+    """
+
+    came: frozenset[str] = frozenset()
+    went: frozenset[str] = frozenset()
+    moved: frozenset[PortRef] = frozenset()
+    mended: tuple[tuple[str, str], ...] = ()
+    lines: tuple[str, ...] = ()
+
+
+class Moments:
+    """The last moments, oldest first."""
+
+    def __init__(self) -> None:
+        self.all: deque[GraphMoment] = deque(maxlen=_MOST)
+
+    def note(self, moment: GraphMoment) -> bool:
+        """Note a moment; returns whether it differs from the last one."""
+        moment = replace(moment, snapshot=replace(moment.snapshot))  # without its cached values
+        if self.all and moment.essence == self.all[-1].essence:
+            return False
+        if len(self.all) > 1 and moment.time - self.all[-1].time < _TOGETHER:
+            self.all[-1] = replace(moment, time=self.all[-1].time)
+        else:
+            self.all.append(moment)
+        return True
+
+
+def difference(before: GraphMoment, after: GraphMoment) -> Difference:
+    old = {each.name: each for each in before.snapshot.nodelets}
+    new = {each.name: each for each in after.snapshot.nodelets}
+    came, went = frozenset(new.keys() - old.keys()), frozenset(old.keys() - new.keys())
+    kept = [(old[name], each) for name, each in new.items() if name in old and old[name] != each]
+    moves = {ref: words for pair in kept for ref, words in _moves(*pair)}
+    mended = tuple(sorted(_mended(before, after, {**old, **new})))
+    lines = [
+        *(f"+ {name}" for name in sorted(came)),
+        *(f"− {name}" for name in sorted(went)),
+        *(f"{was} → {now}: mended" for was, now in mended),
+        *(moves[ref] for ref in sorted(moves, key=str)),
+        *(f"{b.name}: {_state(a)} → {_state(b)}" for a, b in kept if _state(a) != _state(b)),
+        *_streams(before.streams, after.streams),
+    ]
+    return Difference(came, went, frozenset(moves), mended, tuple(lines))
+
+
+def _moves(before: NodeletStatus, after: NodeletStatus) -> Iterator[tuple[PortRef, str]]:
+    topics = {port.name: port.topic for port in before.ports}
+    for port in after.ports:
+        was = topics.get(port.name, "")
+        if port.topic != was:
+            ref = PortRef(after.name, port.name)
+            yield ref, f"{ref}: {was or '–'} → {port.topic or '–'}"
+
+
+def _state(nodelet: NodeletStatus) -> str:
+    return nodelet.state.name.lower()
+
+
+def _mended(
+    before: GraphMoment, after: GraphMoment, nodelets: Mapping[str, NodeletStatus]
+) -> Iterator[tuple[str, str]]:
+    """Pair the parts that claims have lost with those that they have instead, alike first."""
+    claims: dict[str, StreamStatus] = {each.claim_id: each for each in before.streams}
+    found = set()
+    for claim in after.streams:
+        was = claims.get(claim.claim_id)
+        lost = sorted(set(was.nodelets) - set(claim.nodelets)) if was is not None else []
+        for name in sorted(set(claim.nodelets) - set(was.nodelets)) if was is not None else ():
+
+            def is_other(gone: str, name: str = name) -> bool:
+                ends = [nodelets.get(each) for each in (gone, name)]
+                labels = [each.transformation if each is not None else None for each in ends]
+                return labels[0] != labels[1]
+
+            if lost:
+                gone = min(lost, key=is_other)
+                lost.remove(gone)
+                found.add((gone, name))
+    yield from found
+
+
+def _streams(before: Sequence[StreamStatus], after: Sequence[StreamStatus]) -> Iterator[str]:
+    old = {each.claim_id: each for each in before}
+    for each in after:
+        was = old.get(each.claim_id)
+        if was is None or was.state is not each.state:
+            states = "" if was is None else f"{was.state.name.lower()} → "
+            yield f"{each.bound_tag}: {states}{each.state.name.lower()}"

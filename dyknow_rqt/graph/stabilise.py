@@ -11,8 +11,8 @@ without need, or if much has changed, the new layout is used as it is.
 
 from __future__ import annotations
 
-from statistics import median
-from typing import Dict, List, Mapping, Sequence, Set
+from statistics import fmean, median
+from typing import Mapping, Sequence
 
 from dyknow_rqt.graph.figure import Figure, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Layout, Point, Rectangle, Size, around, boxes_around
@@ -45,8 +45,6 @@ def stabilise(
     not move alike are left out.
     """
     common = sorted(set(old.centres) & set(new.centres))
-    if not common:
-        return new
     shift = Point(
         median(old.centres[key].x - new.centres[key].x for key in common),
         median(old.centres[key].y - new.centres[key].y for key in common),
@@ -69,7 +67,7 @@ def stabilise(
     return fresh.put_at(centres)
 
 
-def moved(old: Layout, new: Layout) -> List[str]:
+def moved(old: Layout, new: Layout) -> list[str]:
     """The vertices that have another place in the new layout."""
     return [
         key
@@ -87,7 +85,7 @@ def backwards(centres: Mapping[str, Point], figure: Figure, sizes: Mapping[str, 
     )
 
 
-def _nodelets(figure: Figure) -> Set[str]:
+def _nodelets(figure: Figure) -> set[str]:
     return {vertex.key for vertex in figure.vertices if vertex.kind is VertexKind.NODELET}
 
 
@@ -97,54 +95,43 @@ def _place(
     after: Figure,
     sizes: Mapping[str, Size],
     others: Sequence[Rectangle],
-) -> Dict[str, Point]:
+) -> dict[str, Point]:
     """Find free places for the vertices that are not kept, from left to right."""
     centres = dict(kept)
     neighbours = after.neighbours()
     vertices = {vertex.key: vertex for vertex in after.vertices}
+
+    def free_place(vertex: Vertex, wish: Point) -> Point:
+        """Find one near the wanted one whose box does not grow into other boxes."""
+        taken = {key: around(place, sizes[key]) for key, place in centres.items()}
+        groups = {key: vertices[key].group for key in centres}
+        boxes = boxes_around(groups, centres, sizes)
+        home = vertex.group[:1]
+        foreign = [box for group, box in boxes.items() if vertex.group[: len(group)] != group]
+        foreign += [area for key, area in taken.items() if groups[key][:1] != home]
+        foreign += others
+        own, nearest = boxes.get(home), None
+        step = sizes[vertex.key].height / 2 + _GAP
+        ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
+        for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
+            place = wish.plus(way)
+            area = around(place, sizes[vertex.key]).grown(_GAP / 2)
+            if any(area.meets(each) for each in (*taken.values(), *others)):
+                continue
+            nearest = nearest or place
+            reach = area if own is None else own.joined(area)
+            if not any(reach.meets(each) for each in foreign):
+                return place
+        return nearest or wish
+
     for key in sorted(set(fresh.centres) - set(kept), key=lambda key: (fresh.centres[key], key)):
-        placed = sorted(neighbours[key] & set(centres))
         wish = fresh.centres[key]
+        placed = sorted(neighbours[key] & set(centres))
         if placed:
             offsets = [centres[n].minus(fresh.centres[n]) for n in placed]
-            wish = wish.plus(
-                Point(
-                    sum(o.x for o in offsets) / len(offsets),
-                    sum(o.y for o in offsets) / len(offsets),
-                )
-            )
-        centres[key] = _free_place(vertices[key], wish, centres, vertices, sizes, others)
+            wish = wish.plus(Point(fmean(o.x for o in offsets), fmean(o.y for o in offsets)))
+        centres[key] = free_place(vertices[key], wish)
     return centres
-
-
-def _free_place(
-    vertex: Vertex,
-    wish: Point,
-    centres: Mapping[str, Point],
-    vertices: Mapping[str, Vertex],
-    sizes: Mapping[str, Size],
-    others: Sequence[Rectangle],
-) -> Point:
-    """Find a free place near the wanted one whose box does not grow into other boxes."""
-    taken = {key: around(place, sizes[key]) for key, place in centres.items()}
-    step = sizes[vertex.key].height / 2 + _GAP
-    boxes = boxes_around({key: vertices[key].group for key in centres}, centres, sizes)
-    foreign = [box for group, box in boxes.items() if vertex.group[: len(group)] != group]
-    foreign += [area for key, area in taken.items() if vertices[key].group[:1] != vertex.group[:1]]
-    foreign += others
-    own = boxes.get(vertex.group[:1])
-    nearest = None
-    ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
-    for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
-        place = wish.plus(way)
-        area = around(place, sizes[vertex.key]).grown(_GAP / 2)
-        if any(area.meets(each) for each in (*taken.values(), *others)):
-            continue
-        nearest = nearest or place
-        reach = area if own is None else own.joined(area)
-        if not any(reach.meets(each) for each in foreign):
-            return place
-    return nearest or wish
 
 
 def _strangers(
@@ -152,15 +139,10 @@ def _strangers(
 ) -> bool:
     """Whether a vertex is in the box of another namespace, or two boxes overlap."""
     boxes = boxes_around({v.key: v.group for v in vertices}, centres, sizes)
-    groups = sorted(boxes)
+    inner = {(*v.group, v.key): around(centres[v.key], sizes[v.key]) for v in vertices}
     return any(
-        boxes[group].meets(around(centres[v.key], sizes[v.key]))
-        for group in groups
-        for v in vertices
-        if v.group[: len(group)] != group
-    ) or any(
-        boxes[one].meets(boxes[other])
-        for one in groups
-        for other in groups
-        if one < other and other[: len(one)] != one
+        box.meets(area)
+        for group, box in boxes.items()
+        for other, area in (*boxes.items(), *inner.items())
+        if group[: len(other)] != other and other[: len(group)] != group
     )

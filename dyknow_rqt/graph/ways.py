@@ -11,20 +11,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
-from typing import (
-    Callable,
-    Dict,
-    FrozenSet,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Sequence,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.errors import Refused
 from dyknow.manager.planning.explanation import Entry, read_tree
@@ -43,13 +30,8 @@ _TRIED = 6
 class WayPart(NamedTuple):
     """A line of a way: a supplier, below the one that it supplies; at depth 0 the whole way.
 
-    Attributes:
-        depth: below the whole.
-        port: the in-port that it supplies; empty at the whole and the last supplier.
-        what: transformation with out-port, or a topic.
-        how: such as ``new`` or ``runs as /tracker``.
-        cost: as a text; empty for nothing.
-        bindings: values of its variables.
+    ``port`` is the in-port that it supplies, empty at the whole and the last supplier; ``what`` a
+    transformation with its out-port, or a topic; ``how`` such as ``new`` or ``runs as /tracker``.
     """
 
     depth: int
@@ -74,7 +56,7 @@ class WayPart(NamedTuple):
         return self.how in _NEW
 
     @property
-    def cells(self) -> Tuple[str, str, str, str]:
+    def cells(self) -> tuple[str, str, str, str]:
         what = f"{self.port} ← {self.what}" if self.port else self.what
         return what, self.cost, self.how, self.bindings
 
@@ -96,15 +78,13 @@ def read_way(text: str) -> Way:
     return (whole, *map(_part_of, entries))
 
 
-def next_ways(plan: Callable[[str], Union[Acquisition, Replanned]], way: Way) -> List[Way]:
+def next_ways(plan: Callable[[str], Acquisition | Replanned], way: Way) -> list[Way]:
     """Plan without each transformation of a way: the ways that differ, the cheapest first.
 
-    Args:
-        plan: plans without a transformation (label), or raises Refused.
-        way: the best way.
+    ``plan`` plans without a label, or raises Refused.
     """
     labels = dict.fromkeys(part.label for part in way[1:] if part.label)
-    found: Dict[str, Tuple[float, str]] = {}
+    found: dict[str, tuple[float, str]] = {}
     for label in list(labels)[:_TRIED]:
         with suppress(Refused):
             answer = plan(label)
@@ -118,12 +98,12 @@ def dropped_by(way: Way, found: Replanned, stream: StreamStatus, snapshot: Snaps
 
     Nodelets at the way's ends stay connected as they are, so that those behind them stay too.
     """
-    kept, members = set(found.reused), frozenset(stream.nodelets)
+    kept, running = set(found.reused), _Running(stream, snapshot)
     for part, following in zip(way, (*way[1:], way[0])):
         nodelet = snapshot.nodelet(part.nodelet)
         if nodelet is not None and following.depth <= part.depth:
-            kept.update(each.nodelet for each in _inputs(nodelet, 1, members, snapshot))
-    names = sorted(members - kept)
+            kept.update(each.nodelet for each in running.inputs(nodelet, 1))
+    names = sorted(set(stream.nodelets) - kept)
     parts = tuple(WayPart(1, "", name, f"dropped as {name}") for name in names)
     return (WayPart(0, "", "Used no longer"), *parts) if parts else ()
 
@@ -133,46 +113,37 @@ def present_way(stream: StreamStatus, snapshot: Snapshot) -> Way:
     words = [f"on {stream.topic}" if stream.topic else "", stream.state.name.lower()]
     state = ", ".join(filter(None, words)) + (f": {stream.detail}" if stream.detail else "")
     whole = WayPart(0, "", stream.tag, state, bindings=" ".join(stream.bindings))
-    members = frozenset(stream.nodelets)
-    return (whole, *_parts(stream.topic, "", 1, members, snapshot, frozenset()))
+    return (whole, *_Running(stream, snapshot).sources(stream.topic, "", 1))
 
 
-def _parts(
-    topic: str,
-    port: str,
-    depth: int,
-    members: FrozenSet[str],
-    snapshot: Snapshot,
-    seen: FrozenSet[str],
-) -> Iterator[WayPart]:
-    found = snapshot.topics().get(topic)
-    for ref in found.sources if found is not None else ():
-        nodelet = snapshot.nodelet(ref.nodelet)
-        if nodelet is None or ref.nodelet not in members:
-            continue
-        verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
-        given = (f"{each.name}={each.text}" for each in nodelet.parameters)
-        yield WayPart(
-            depth,
-            port,
-            f"{nodelet.transformation}.{ref.port}",
-            f"{verb} as {ref.nodelet}",
-            bindings=" ".join(each for each in given if each.startswith("?")),
-        )
-        yield from _inputs(nodelet, depth + 1, members, snapshot, seen | {topic})
+class _Running:
+    """The nodelets of a claim: those behind a topic or a nodelet, each topic followed once."""
 
+    def __init__(self, stream: StreamStatus, snapshot: Snapshot) -> None:
+        self._members, self._snapshot = stream.nodelets, snapshot
 
-def _inputs(
-    nodelet: NodeletStatus,
-    depth: int,
-    members: FrozenSet[str],
-    snapshot: Snapshot,
-    seen: FrozenSet[str] = frozenset(),
-) -> Iterator[WayPart]:
-    for each in nodelet.ports:
-        if each.direction == IN and each.topic and each.topic not in seen:
-            before = seen | {each.topic}
-            yield from _parts(each.topic, each.name, depth, members, snapshot, before)
+    def sources(
+        self, topic: str, port: str, depth: int, seen: frozenset[str] = frozenset()
+    ) -> Iterator[WayPart]:
+        """Those that publish a topic, which feeds a port, with all behind them."""
+        found = self._snapshot.topics().get(topic)
+        for ref in found.sources if found is not None else ():
+            nodelet = self._snapshot.nodelet(ref.nodelet)
+            if nodelet is None or ref.nodelet not in self._members:
+                continue
+            verb = "runs" if nodelet.state is State.RUNNING else nodelet.state.name.lower()
+            given = (f"{each.name}={each.text}" for each in nodelet.parameters)
+            what, how = f"{nodelet.transformation}.{ref.port}", f"{verb} as {ref.nodelet}"
+            bindings = " ".join(each for each in given if each.startswith("?"))
+            yield WayPart(depth, port, what, how, bindings=bindings)
+            yield from self.inputs(nodelet, depth + 1, seen | {topic})
+
+    def inputs(
+        self, nodelet: NodeletStatus, depth: int, seen: frozenset[str] = frozenset()
+    ) -> Iterator[WayPart]:
+        for each in nodelet.ports:
+            if each.direction == IN and each.topic and each.topic not in seen:
+                yield from self.sources(each.topic, each.name, depth, seen | {each.topic})
 
 
 def _part_of(entry: Entry) -> WayPart:
@@ -180,14 +151,8 @@ def _part_of(entry: Entry) -> WayPart:
     how, *costs = (word for word in entry.how.split(", ") if word)
     cost = " + ".join(word.partition(" ")[2] for word in costs if word[:4] in ("cost", "char"))
     rest = [word for word in costs if word[:4] not in ("cost", "char")]
-    return WayPart(
-        entry.depth + 1,
-        entry.port,
-        what,
-        ", ".join([how, *rest]),
-        cost,
-        f"?{bindings[:-1]}" if is_bound else "",
-    )
+    bindings = f"?{bindings[:-1]}" if is_bound else ""
+    return WayPart(entry.depth + 1, entry.port, what, ", ".join([how, *rest]), cost, bindings)
 
 
 def fates_of(parts: Iterable[WayPart]) -> Mapping[str, bool]:
@@ -202,9 +167,9 @@ def fates_of(parts: Iterable[WayPart]) -> Mapping[str, bool]:
 def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) -> Figure:
     """Add the nodelets that a plan would bring, with arrows from their sources."""
     drawn = {vertex.key for vertex in figure.vertices}
-    ghosts: Dict[str, Vertex] = {}
-    edges: Set[Edge] = set()
-    above: List[str] = []
+    ghosts: dict[str, Vertex] = {}
+    edges: set[Edge] = set()
+    above: list[str] = []
     for part in parts:
         key = _key_of_part(part, snapshot, drawn)
         if part.is_new:
@@ -218,7 +183,7 @@ def with_ghosts(figure: Figure, snapshot: Snapshot, parts: Sequence[WayPart]) ->
     return replace(figure, vertices=tuple(vertices), edges=tuple(sorted({*figure.edges, *edges})))
 
 
-def _key_of_part(part: WayPart, snapshot: Snapshot, drawn: Set[str]) -> str:
+def _key_of_part(part: WayPart, snapshot: Snapshot, drawn: set[str]) -> str:
     """The vertex of a part: of one that runs its topic, if it is drawn."""
     topic = part.what
     if part.nodelet:

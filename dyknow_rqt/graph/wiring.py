@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
+from typing import Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.datatypes import types_fit
@@ -24,17 +24,14 @@ from dyknow_rqt.graph.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class Rewire(Change):
-    """Connects ports of any number of nodelets: all of them, or none.
+    """Connects ports of any number of nodelets, all of them or none, each to a topic.
 
-    Attributes:
-        topics: the topic for each port; empty to disconnect it.
-        text: the change in a few words.
-        expected: the topic of each port before the change.
+    An empty topic disconnects a port; ``expected`` has their topics before the change.
     """
 
-    topics: Tuple[Tuple[PortRef, str], ...]
+    topics: tuple[tuple[PortRef, str], ...]
     text: str
-    expected: Tuple[Tuple[PortRef, str], ...] = ()
+    expected: tuple[tuple[PortRef, str], ...] = ()
 
     @property
     def replaced(self) -> str:
@@ -61,14 +58,14 @@ class Rewire(Change):
         _check(client, self.expected)
 
 
-def _by_nodelet(topics: Sequence[Tuple[PortRef, str]]) -> List[Tuple[str, Dict[str, str]]]:
-    configs: Dict[str, Dict[str, str]] = {}
+def _by_nodelet(topics: Sequence[tuple[PortRef, str]]) -> list[tuple[str, dict[str, str]]]:
+    configs: dict[str, dict[str, str]] = {}
     for ref, topic in topics:
         configs.setdefault(ref.nodelet, {})[ref.port] = topic
     return list(configs.items())
 
 
-def _check(client: BaseManagerClient, topics: Sequence[Tuple[PortRef, str]]) -> None:
+def _check(client: BaseManagerClient, topics: Sequence[tuple[PortRef, str]]) -> None:
     """Ask the proxies: the window's snapshot may be older than its own last change."""
     for nodelet, config in _by_nodelet(topics):
         check_connected(client, nodelet, config)
@@ -89,7 +86,7 @@ def partners(snapshot: Snapshot, ref: PortRef) -> Iterator[PortRef]:
                     yield PortRef(nodelet.name, other.name)
 
 
-def topics_for(snapshot: Snapshot, ref: PortRef) -> List[str]:
+def topics_for(snapshot: Snapshot, ref: PortRef) -> list[str]:
     """Topics of the graph that a port can be connected to, sorted."""
     port = snapshot.port(ref)
     if port is None:
@@ -145,12 +142,12 @@ def connect_topic(snapshot: Snapshot, ref: PortRef, topic: str) -> Rewire:
     return rewire(snapshot, ((ref, topic),), f"connect {ref} to {topic}")
 
 
-def disconnect(snapshot: Snapshot, refs: Tuple[PortRef, ...]) -> Rewire:
+def disconnect(snapshot: Snapshot, refs: tuple[PortRef, ...]) -> Rewire:
     what = str(refs[0]) if len(refs) == 1 else f"{len(refs)} ports"
     return rewire(snapshot, tuple((ref, "") for ref in refs), f"disconnect {what}")
 
 
-def rewire(snapshot: Snapshot, topics: Tuple[Tuple[PortRef, str], ...], text: str) -> Rewire:
+def rewire(snapshot: Snapshot, topics: tuple[tuple[PortRef, str], ...], text: str) -> Rewire:
     """Change connections; ports that are already connected as wanted are left out."""
     wanted, now = [], []
     for ref, topic in topics:
@@ -211,7 +208,7 @@ def _side(snapshot: Snapshot, ref: PortRef) -> str:
 
 def offers(
     snapshot: Snapshot, library: Mapping[str, Transformation], ref: PortRef
-) -> List[Tuple[str, Port]]:
+) -> list[tuple[str, Port]]:
     """Find the transformations that fit a port: labels with ports, known types first."""
     start = snapshot.port(ref)
     if start is None:

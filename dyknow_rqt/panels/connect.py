@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import QComboBox, QCompleter, QGroupBox, QLabel, QPushButton
@@ -15,16 +15,8 @@ from dyknow.errors import InvalidName
 from dyknow.model.graph import PortRef, PortState
 from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.background_calls import qt_slot
+from dyknow_rqt.graph import wiring
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph.wiring import (
-    choose_topic,
-    connect,
-    connect_topic,
-    disconnect,
-    partners,
-    topics_for,
-)
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
@@ -44,7 +36,7 @@ class _PortChoice:
             box.setSizeAdjustPolicy(QComboBox.AdjustToMinimumContentsLengthWithIcon)
 
     @property
-    def ref(self) -> Optional[PortRef]:
+    def ref(self) -> PortRef | None:
         port = self.port.currentData()
         return PortRef(self.nodelet.currentText(), port) if port is not None else None
 
@@ -117,7 +109,7 @@ class ConnectPanel(Panel):
         ref = PortRef(nodelet, state.name)
         if state.direction == IN:
             # The source is chosen first: only fitting topics are offered for the other end.
-            for other in partners(snapshot, ref):
+            for other in wiring.partners(snapshot, ref):
                 self.source.choose(other)
                 break
             self.sink.choose(ref)
@@ -126,31 +118,28 @@ class ConnectPanel(Panel):
         self.single.choose(ref)
         self.source.nodelet.setFocus()
 
-    @qt_slot
     def showEvent(self, event: QEvent) -> None:  # noqa: N802
         """Catch up with changes that were missed while it was hidden."""
         super().showEvent(event)
         self._follow()
 
-    @qt_slot
     def _connect(self) -> None:
         source, sink = self.source.ref, self.sink.ref
         if source is not None and sink is not None:
-            self._monitor.do(connect(self._monitor.snapshot, source, sink))
+            self._monitor.do(wiring.connect(self._monitor.snapshot, source, sink))
 
-    @qt_slot
     def _connect_topic(self) -> None:
         ref = self.single.ref
         if ref is not None and self.topic.text().strip():
-            self._monitor.do(connect_topic(self._monitor.snapshot, ref, self.topic.text().strip()))
+            self._monitor.do(
+                wiring.connect_topic(self._monitor.snapshot, ref, self.topic.text().strip())
+            )
 
-    @qt_slot
     def _disconnect(self) -> None:
         ref = self.single.ref
         if ref is not None:
-            self._monitor.do(disconnect(self._monitor.snapshot, (ref,)))
+            self._monitor.do(wiring.disconnect(self._monitor.snapshot, (ref,)))
 
-    @qt_slot
     def _follow(self) -> None:
         """Offer the fitting topics; choices that still fit are kept. Only where it is seen."""
         if not self.isVisible():
@@ -159,7 +148,7 @@ class ConnectPanel(Panel):
         every = {nodelet.name: nodelet.ports for nodelet in snapshot.nodelets}
         outs = {name: [p for p in ports if p.direction == OUT] for name, ports in every.items()}
         self.source.offer(outs, every)
-        fitting = set(partners(snapshot, self.source.ref)) if self.source.ref else set()
+        fitting = set(wiring.partners(snapshot, self.source.ref)) if self.source.ref else set()
         ins = {n: [p for p in ps if PortRef(n, p.name) in fitting] for n, ps in every.items()}
         self.sink.offer(ins, every)
         self.single.offer(every, every)
@@ -167,13 +156,13 @@ class ConnectPanel(Panel):
         ref = self.single.ref
         port = snapshot.port(ref) if ref is not None else None
         self.now.setText((port.topic or "not connected") if port is not None else "–")
-        self._topics.setStringList(topics_for(snapshot, ref) if ref is not None else [])
+        self._topics.setStringList(wiring.topics_for(snapshot, ref) if ref is not None else [])
         self.disconnect_port.setEnabled(port is not None and bool(port.topic))
         wanted = self.topic.text().strip()
         self.replaced.setText("")
         if ref is not None and wanted:
             with contextlib.suppress(CannotConnect, InvalidName):  # the button says why
-                self.replaced.setText(connect_topic(snapshot, ref, wanted).replaced)
+                self.replaced.setText(wiring.connect_topic(snapshot, ref, wanted).replaced)
         self.connect_topic.setEnabled(port is not None and bool(wanted))
 
     def _show_choice(self, snapshot: Snapshot) -> None:
@@ -181,18 +170,18 @@ class ConnectPanel(Panel):
         text, possible = "–", False
         if source is not None and sink is not None:
             try:
-                text = choose_topic(snapshot, source, sink)
+                text = wiring.choose_topic(snapshot, source, sink)
             except CannotConnect as error:
                 text = str(error)
             else:
-                change = connect(snapshot, source, sink)
+                change = wiring.connect(snapshot, source, sink)
                 possible = bool(change.topics)
                 text += f"\n{change.replaced}" if possible else "  (connected already)"
         self.topic_chosen.setText(text.strip())
         self.connect.setEnabled(possible)
 
 
-def _box(title: str, *rows: Tuple[str, object]) -> QGroupBox:
+def _box(title: str, *rows: tuple[str, object]) -> QGroupBox:
     box = QGroupBox(title)
     form = form_in(box)
     form.setLabelAlignment(Qt.AlignRight | Qt.AlignVCenter)
@@ -207,7 +196,7 @@ def _words(port: PortState) -> str:
 
 
 def _refill(
-    box: QComboBox, wanted: Sequence[Tuple[str, str]], is_away: Callable[[str], bool]
+    box: QComboBox, wanted: Sequence[tuple[str, str]], is_away: Callable[[str], bool]
 ) -> None:
     """Replace the entries of a box; the chosen one stays chosen if it is among them.
 

@@ -1,18 +1,21 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The panel that makes nodelets, with the fields for their variables and parameters."""
+"""The tab Create, and the dialog with the parameters of a nodelet that runs."""
 
 from __future__ import annotations
 
+import contextlib
 import shlex
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Mapping
 
 from python_qt_binding.QtCore import QSignalBlocker, QStringListModel, Qt
 from python_qt_binding.QtWidgets import (
     QCheckBox,
     QComboBox,
     QCompleter,
+    QDialog,
+    QDialogButtonBox,
     QLabel,
     QLineEdit,
     QPushButton,
@@ -22,10 +25,10 @@ from python_qt_binding.QtWidgets import (
 from dyknow import names
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.given import filling_variables, variables
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import NodeletStatus, SpawnRequest
+from dyknow.model.placeholders import fill
 from dyknow.model.transformation import Parameter, Transformation
-from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import spawn
+from dyknow_rqt.graph.changes import set_parameters, spawn
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import free_name
 from dyknow_rqt.monitor import GraphMonitor
@@ -35,22 +38,20 @@ from dyknow_rqt.widgets import column_in, field_of, form_in
 
 
 class GivenFields(QWidget):
-    """A field for each variable and each parameter; empty fields are not given.
+    """A field for each variable and each parameter, by name; empty fields are not given.
 
-    Attributes:
-        fields: by name, those of the transformation.
-        more: for parameters that the transformation does not name; None without a transformation.
+    ``more`` is for parameters that the transformation does not name; None without one.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.fields: Dict[str, QLineEdit] = {}
-        self.more: Optional[QLineEdit] = None
+        self.fields: dict[str, QLineEdit] = {}
+        self.more: QLineEdit | None = None
         self._form = form_in(self)
         self._form.setContentsMargins(0, 0, 0, 0)
-        self._shown: Optional[Transformation] = None
+        self._shown: Transformation | None = None
 
-    def show_transformation(self, transformation: Optional[Transformation]) -> None:
+    def show_transformation(self, transformation: Transformation | None) -> None:
         """Offer the fields of a transformation; they are kept while it stays the same."""
         if transformation == self._shown:
             return
@@ -74,7 +75,7 @@ class GivenFields(QWidget):
         tip = "Parameters that the transformation does not name; quoted as in a shell"
         self.more = self._add("More", "rate=5 frame=map", tip)
 
-    def given(self) -> Tuple[Parameter, ...]:
+    def given(self) -> tuple[Parameter, ...]:
         """The given parameters, with the types left to the manager, or InvalidParameters."""
         texts = [(name, field.text().strip()) for name, field in self.fields.items()]
         found = [Parameter(name, "", text) for name, text in texts if text]
@@ -93,7 +94,7 @@ class GivenFields(QWidget):
         return field
 
 
-def _words(text: str, label: str) -> List[str]:
+def _words(text: str, label: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
@@ -151,7 +152,6 @@ class CreatePanel(Panel):
         else:
             self.label.setFocus()
 
-    @qt_slot
     def _create(self) -> None:
         if not self.create.isEnabled():
             return
@@ -173,7 +173,6 @@ class CreatePanel(Panel):
         if self.name.text() == name:
             self.name.clear()
 
-    @qt_slot
     def _follow(self) -> None:
         library = self._monitor.library
         transformation = library.get(self.label.currentText().strip())
@@ -187,7 +186,6 @@ class CreatePanel(Panel):
             lines += [f"        {tag}" for tag in port.tags]
         self.ports.setText("\n".join(lines) or "–")
 
-    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         text = self.label.currentText()
         with QSignalBlocker(self.label):
@@ -196,7 +194,6 @@ class CreatePanel(Panel):
             self.label.setCurrentText(text)
         self._follow()
 
-    @qt_slot
     def _show_managers(self, snapshot: Snapshot) -> None:
         found = sorted(
             {each.manager for each in snapshot.nodelets if each.manager and not each.isolated}
@@ -206,3 +203,54 @@ class CreatePanel(Panel):
             self.manager.clear()
             self.manager.addItems([_ANY, *found])
             self.manager.setCurrentText(text)
+
+
+class ParametersDialog(QDialog):
+    """Edits the parameters of a spawn, and those of the transformation."""
+
+    def __init__(self, monitor: GraphMonitor, nodelet: NodeletStatus, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WA_DeleteOnClose)
+        self.setWindowTitle(f"Parameters of {nodelet.name}")
+        self._monitor, self._name = monitor, nodelet.name
+        given = {each.name: each for each in nodelet.parameters}
+        bound = {name: each.text for name, each in given.items()}
+        self._before: dict[str, Parameter] = {}
+        transformation = monitor.library.get(nodelet.transformation)
+        for each in transformation.parameters if transformation is not None else ():
+            with contextlib.suppress(KeyError, ValueError):  # it has been replaced since
+                each = each._replace(text=fill(each.text, bound))
+            self._before[each.name] = each
+        self._before.update(given)
+        self.fields: dict[str, QLineEdit] = {}
+        self.more = field_of("rate=5", "A parameter that is not named here: NAME=VALUE")
+        form = form_in()
+        for name, parameter in self._before.items():
+            self.fields[name] = field = QLineEdit(parameter.text, accessibleName=name)
+            field.setReadOnly(name.startswith("?"))  # a variable is bound for life
+            form.addRow(f"{name.replace('&', '&&')}:", field)
+        form.addRow("Another:", self.more)
+        self.buttons = QDialogButtonBox(QDialogButtonBox.Ok | QDialogButtonBox.Cancel)
+        self.buttons.accepted.connect(self._set)
+        self.buttons.rejected.connect(self.reject)
+        column_in(self, form, self.buttons)
+
+    def _set(self) -> None:
+        """Set the parameters whose values were edited."""
+        texts = {name: field.text() for name, field in self.fields.items()}
+        wanted = [
+            Parameter(name, self._before[name].type, text)
+            for name, text in texts.items()
+            if text != self._before[name].text
+        ]
+        name, equals, text = self.more.text().partition("=")
+        if name.strip() and equals:
+            wanted.append(Parameter(name.strip(), "", text.strip()))
+        elif self.more.text().strip():
+            self._monitor.failed.emit(
+                f"'{self.more.text()}' sets no parameter; expected NAME=VALUE, such as rate=5"
+            )
+            return
+        if wanted:
+            self._monitor.do(set_parameters(self._name, wanted, self._before))
+        self.accept()

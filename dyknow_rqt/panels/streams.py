@@ -9,7 +9,7 @@ import getpass
 import socket
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Callable, FrozenSet, List, Mapping, Sequence, Tuple, Union
+from typing import Callable, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtWidgets import (
@@ -23,9 +23,16 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.client import BaseManagerClient
+from dyknow.model.streams import (
+    Acquisition,
+    ClaimState,
+    Replanned,
+    StreamEvent,
+    StreamRequest,
+    StreamStatus,
+)
 from dyknow.model.transformation import OUT, Transformation
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
 from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
@@ -34,10 +41,6 @@ from dyknow_rqt.panels.tables import KeyedTable, Panel, WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, field_of, form_in, row_of, text_of
-
-if TYPE_CHECKING:
-    from dyknow.model.client import BaseManagerClient
-    from dyknow.model.streams import Acquisition, Replanned, StreamEvent, StreamStatus
 
 #: The first column, the key of the rows, is not shown.
 _TITLES = ("Claim", "Tag", "State", "Topic", "Type", "Client")
@@ -68,7 +71,7 @@ class StreamsPanel(Panel):
         )
         of_plan = (self.exclude, self.prefer, self.avoid)
         self.fields = (self.tag, self.datatype, *of_plan, self.require)
-        self._tags: List[str] = []
+        self._tags: list[str] = []
         self._offered, self._types = QStringListModel(self), QStringListModel(self)
         for field, model in ((self.tag, self._offered), (self.datatype, self._types)):
             completer = QCompleter(model, self)
@@ -86,7 +89,7 @@ class StreamsPanel(Panel):
         #: The number of the last question; answers to those before it are not shown.
         self._question = 0
         #: A tag that is being acquired, and the claims before.
-        self._awaited: Tuple[str, FrozenSet[str]] = ("", frozenset())
+        self._awaited: tuple[str, frozenset[str]] = ("", frozenset())
         self._say("How the stream would be made is shown here")
         self.table = KeyedTable(_TITLES, "Streams")
         self.table.hideColumn(0)
@@ -118,7 +121,6 @@ class StreamsPanel(Panel):
             require=self.require.text().strip(),
         )
 
-    @qt_slot
     def _preview(self) -> None:
         """Show how a stream would be made, and then the next best ways."""
         request = self.request()
@@ -129,7 +131,6 @@ class StreamsPanel(Panel):
 
         self._explain(request, lambda way: self._add_next_ways(without, way))
 
-    @qt_slot
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
         request = self.request()
@@ -153,7 +154,7 @@ class StreamsPanel(Panel):
 
         def take(found: Acquisition) -> None:
             if found.warnings:
-                self._monitor.report("\n".join(found.warnings))
+                self._monitor.failed.emit("\n".join(found.warnings))
             show(found.plan)
 
         if request.tag:
@@ -165,9 +166,7 @@ class StreamsPanel(Panel):
             )
 
     def _add_next_ways(
-        self,
-        plan: Callable[[BaseManagerClient, str], Union[Acquisition, Replanned]],
-        *shown: Way,
+        self, plan: Callable[[BaseManagerClient, str], Acquisition | Replanned], *shown: Way
     ) -> None:
         """Add the next best ways to the shown ones, if these are still shown."""
 
@@ -183,11 +182,9 @@ class StreamsPanel(Panel):
 
     # What there is
 
-    @qt_slot
     def _release(self) -> None:
-        self._do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
+        self._monitor.do_in_turn([release(each.claim_id, each.tag) for each in self._chosen()])
 
-    @qt_slot
     def _replan(self) -> None:
         """Show the plan that is the cheapest now, and ask whether to switch to it."""
         for stream in self._chosen()[:1]:
@@ -215,7 +212,6 @@ class StreamsPanel(Panel):
 
         self._monitor.ask(lambda client: client.replan_stream(stream.claim_id, dry_run=True), ask)
 
-    @qt_slot
     def _show_streams(self) -> None:
         rows = []
         for each in self._monitor.streams:
@@ -236,7 +232,6 @@ class StreamsPanel(Panel):
                 self._explained = each.claim_id
         self._show_way(self._explained)
 
-    @qt_slot
     def _show_way(self, claim: str) -> None:
         """Show how a stream is made now, also after a repair."""
         stream = self._monitor.stream(claim)
@@ -253,37 +248,27 @@ class StreamsPanel(Panel):
     def _say(self, text: str) -> None:
         self._show_plan(read_way(text))
 
-    @qt_slot
     def _begin_question(self) -> int:
         self._question += 1
         return self._question
 
-    @qt_slot
     def _forget_plan(self) -> None:
         self.planned.emit([])
 
-    @qt_slot
     def hideEvent(self, event: QEvent) -> None:  # noqa: N802
         """Draw no plan that is not shown."""
         super().hideEvent(event)
         self._forget_plan()
 
-    @qt_slot
     def choose(self, claims: Sequence[str]) -> None:
         self._selection.choose_claims(claims)
         for claim in claims[:1]:
             self._begin_question()
             self._show_way(claim)
 
-    @qt_slot
     def _show_present_way(self) -> None:
         self._show_way(self._explained)
 
-    @qt_slot
-    def _complete_tag(self, text: str) -> None:
-        self._offered.setStringList(tag_completions(text, self._tags))
-
-    @qt_slot
     def _show_event(self, event: StreamEvent) -> None:
         before = event.before.state.name.lower() + " → " if event.before is not None else ""
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
@@ -292,14 +277,12 @@ class StreamsPanel(Panel):
             + (f" ({event.reason})" if event.reason else "")
         )
 
-    @qt_slot
     def _show_library(self, library: Mapping[str, Transformation]) -> None:
         outputs = [p for each in library.values() for p in each.ports if p.direction == OUT]
         self._tags = sorted({tag for port in outputs for tag in port.tags})
         self._offered.setStringList(self._tags)
         self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
 
-    @qt_slot
     def _follow(self) -> None:
         for button in (self.preview, self.acquire):
             button.setEnabled(bool(self.tag.text().strip()))
@@ -310,7 +293,7 @@ class StreamsPanel(Panel):
 
     # Inside
 
-    def _chosen(self) -> List[StreamStatus]:
+    def _chosen(self) -> list[StreamStatus]:
         """The selected streams that have not ended."""
         found = map(self._monitor.stream, sorted(self._selection.claims))
         return [stream for stream in found if stream is not None and not stream.state.ended]
@@ -324,7 +307,9 @@ class StreamsPanel(Panel):
         self.tag.textEdited.connect(self._forget_plan)
         self.tag.textEdited.connect(self._begin_question)
         self._monitor.changed.connect(self._show_present_way)
-        self.tag.textEdited.connect(self._complete_tag)
+        self.tag.textEdited.connect(
+            lambda text: self._offered.setStringList(tag_completions(text, self._tags))
+        )
         self._selection.changed.connect(self._follow)
         self.table.on_delete(self._release)
         self._monitor.streams_changed.connect(self._show_streams)
@@ -356,14 +341,12 @@ def _state(stream: StreamStatus) -> str:
     """The state of a stream, with its reason."""
     state, reason = stream.state.name.lower(), stream.detail.partition("\n")[0]
     is_over = stream.state in (ClaimState.RELEASED, ClaimState.EXPIRED)
-    return state if is_over or not reason else f"{state}: {_cut(reason)}"
+    if len(reason) > _LONGEST:
+        reason = f"{reason[: _LONGEST - 1]}…"
+    return state if is_over or not reason else f"{state}: {reason}"
 
 
-def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
-
-
-def _names(field: QLineEdit) -> Tuple[str, ...]:
+def _names(field: QLineEdit) -> tuple[str, ...]:
     names = (part.strip() for part in field.text().split(";"))
     return tuple(name for name in names if name)
 

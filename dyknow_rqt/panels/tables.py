@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from python_qt_binding.QtCore import (
     QAbstractTableModel,
@@ -27,8 +27,6 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from dyknow_rqt.background_calls import qt_slot
-from dyknow_rqt.graph.changes import Change
 from dyknow_rqt.graph.ways import Way
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
@@ -41,12 +39,6 @@ class Panel(QWidget):
     def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
         super().__init__()
         self._monitor, self._line = monitor, line
-        self.report = line.report
-
-    def _do_in_turn(self, changes: Sequence[Change]) -> None:
-        """Make changes one after the other, up to the first that is refused."""
-        if changes:
-            self._monitor.do(changes[0], lambda: self._do_in_turn(changes[1:]))
 
 
 #: The number of rows that determine the width of columns.
@@ -63,9 +55,9 @@ class _Rows(QAbstractTableModel):
     def __init__(self, titles: Sequence[str], parent: QWidget) -> None:
         super().__init__(parent)
         self._titles = titles
-        self.all: List[Row] = []
-        self.shown: List[Row] = []
-        self.places: Dict[str, int] = {}
+        self.all: list[Row] = []
+        self.shown: list[Row] = []
+        self.places: dict[str, int] = {}
         self._column, self._backwards, self._filter = 0, False, ""
 
     def replace(self, rows: Sequence[Row]) -> None:
@@ -118,8 +110,8 @@ class _Rows(QAbstractTableModel):
         self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
         self.endResetModel()
 
-    def _arranged(self) -> List[Row]:
-        def key(row: Row) -> Tuple[bool, Union[int, str], str]:
+    def _arranged(self) -> list[Row]:
+        def key(row: Row) -> tuple[bool, int | str, str]:
             cell = row[0][self._column]
             return (False, int(cell), row[0][0]) if cell.isdecimal() else (True, cell, row[0][0])
 
@@ -195,14 +187,14 @@ class KeyedTable(QTableView):
             self.choose(chosen, current)
         self.verticalScrollBar().setValue(top)
 
-    def chosen(self) -> List[str]:
+    def chosen(self) -> list[str]:
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())
         return [self._name(row) for row in rows]
 
-    def names(self) -> List[str]:
+    def names(self) -> list[str]:
         return [row[0][0] for row in self._rows.shown]
 
-    def choose(self, names: Iterable[str], current: Optional[str] = None) -> None:
+    def choose(self, names: Iterable[str], current: str | None = None) -> None:
         """Select the rows of these keys only, and make one the current row."""
         selection = self.selectionModel()
         places = [self._rows.places[name] for name in names if name in self._rows.places]
@@ -226,13 +218,11 @@ class KeyedTable(QTableView):
             if self.chosen():
                 self.scrollTo(self.selectionModel().selectedRows()[0])
 
-    @qt_slot
     def selectionChanged(self, now: QItemSelection, before: QItemSelection) -> None:  # noqa: N802
         """Tell which rows are selected."""
         super().selectionChanged(now, before)
         self.picked.emit(self.chosen())
 
-    @qt_slot
     def _filter_rows(self, text: str) -> None:
         chosen = self.chosen()
         with QSignalBlocker(self):
@@ -251,7 +241,7 @@ class WayTree(QTreeWidget):
 
     def __init__(self, name: str) -> None:
         super().__init__()
-        self.ways: Tuple[Way, ...] = ()
+        self.ways: tuple[Way, ...] = ()
         self.setHeaderLabels(("Part", "Cost", "How", "Bindings"))
         self.header().setSectionResizeMode(QHeaderView.ResizeToContents)
         self.setUniformRowHeights(True)
@@ -272,7 +262,7 @@ class WayTree(QTreeWidget):
         self.ways = ways
         self.clear()
         for way in filter(None, ways):
-            path: List[Any] = [self]
+            path: list[Any] = [self]
             for part in way:
                 del path[part.depth + 1 :]
                 item = QTreeWidgetItem(path[-1], part.cells)
@@ -283,14 +273,12 @@ class WayTree(QTreeWidget):
         for number in range(1, self.topLevelItemCount()):
             self.topLevelItem(number).setExpanded(False)
 
-    @qt_slot
     def keyPressEvent(self, event: Any) -> None:  # noqa: N802
         if event.matches(QKeySequence.Copy):
             QGuiApplication.clipboard().setText(self.text)
         else:
             super().keyPressEvent(event)
 
-    @qt_slot
     def _pick(self) -> None:
         names = [item.text(2).partition(" as ")[2] for item in self.selectedItems()]
         self.picked.emit([name for name in names if name])

@@ -23,17 +23,17 @@ import rostest
 from graph import Battery, Heard
 from manager_suite import LIBRARY, ManagerCase, MasterCase
 from processes import HELD_UP
-from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt
-from python_qt_binding.QtGui import QMouseEvent
+from python_qt_binding.QtCore import QPoint, Qt
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import QApplication, QMenu
+from unit.rqt.hands import drag
 
 from dyknow.model.graph import PortRef, SpawnRequest
 from dyknow.model.streams import StreamStatus
 from dyknow.ros.wire.master import Master
 from dyknow_rqt import screenshots
 from dyknow_rqt.graph.changes import Change, spawn
-from dyknow_rqt.graph.moments import difference
+from dyknow_rqt.graph.snapshot import difference
 from dyknow_rqt.graph.wiring import connect, connect_topic
 from dyknow_rqt.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
@@ -62,6 +62,11 @@ class Window:
         self.window.show()
         self.window.start()
         return self.window
+
+    def topic(self: Any, ref: PortRef) -> object:
+        """The topic of a port; None while it is not known."""
+        port = self.monitor.snapshot.port(ref)
+        return None if port is None else port.topic
 
     def does(
         self: Any, act: Callable[[], object], effect: Callable[[], object], what: str
@@ -93,10 +98,6 @@ class WindowTest(Window, ManagerCase):
         def do(change: Callable[[], Change], effect: Callable[[], object], what: str) -> None:
             self.does(lambda: monitor.do(change()), effect, what)
 
-        def topic(ref: PortRef) -> object:
-            port = monitor.snapshot.port(ref)
-            return None if port is None else port.topic
-
         for label, name in (("counter", "/count"), ("relay", "/relay")):
             request = SpawnRequest(label, name)
             do(
@@ -104,32 +105,29 @@ class WindowTest(Window, ManagerCase):
                 lambda name=name: f"n_{name}" in scene.vertices,
                 f"{name} is drawn",
             )
-        until(lambda: None not in (topic(OUT), topic(IN)), "their ports are known")
+        until(lambda: None not in (self.topic(OUT), self.topic(IN)), "their ports are known")
         do(
             lambda: connect(monitor.snapshot, OUT, IN),
-            lambda: topic(IN) == topic(OUT) == "/count/out",
+            lambda: self.topic(IN) == self.topic(OUT) == "/count/out",
             "they are connected",
         )
 
-        def rates() -> list[float]:
-            found = [item.traffic for edge, item in scene.edges.items() if edge.head == "n_/relay"]
-            return [traffic.rate for traffic in found if traffic is not None]
+        def rates(end: str) -> list[float]:
+            """Those of the arrows to ("head") or from ("tail") the relay."""
+            arrows = [item for e, item in scene.edges.items() if getattr(e, end) == "n_/relay"]
+            return [item.traffic.rate for item in arrows if item.traffic is not None]
 
-        until(lambda: any(25 < rate < 75 for rate in rates()), "the rate stands on the arrow")
+        until(lambda: any(25 < rate < 75 for rate in rates("head")), "the rate is on the arrow")
         out = PortRef("/relay", "out")
         do(
             lambda: connect_topic(monitor.snapshot, out, "/end"),
-            lambda: topic(out) == "/end",
+            lambda: self.topic(out) == "/end",
             "it is connected",
         )
         heard = self.enter(Heard("/end"))
         until(lambda: len(heard) > 5, "messages flow through what was connected")
 
-        def sent() -> list[float]:
-            found = [item.traffic for edge, item in scene.edges.items() if edge.tail == "n_/relay"]
-            return [traffic.rate for traffic in found if traffic is not None]
-
-        until(lambda: any(sent()), "its rate is shown")
+        until(lambda: any(rates("tail")), "its rate is shown")
         arrow = next(item for e, item in scene.edges.items() if e.tail == "n_/relay")
         over = next(item for e, item in scene.edges.items() if e.tail == "n_/count")
         self.assertIn("connections: 1 within the process", scene.facts.tip_of(over))
@@ -137,15 +135,15 @@ class WindowTest(Window, ManagerCase):
         outside = re.compile(r"connections: 1 (SHMROS|TCPROS)$")
         until(lambda: outside.search(scene.facts.tip_of(arrow)), "the transport of the subscriber")
         with manager.child_stopped():
-            until(lambda: not sent(), "a process that stands still has no rate")
-        until(lambda: any(sent()), "it goes on")
+            until(lambda: not rates("tail"), "a process that stands still has no rate")
+        until(lambda: any(rates("tail")), "it goes on")
         manager.client.set_config("/count", {"out": ""})
-        until(lambda: sent() == [0.0], "nothing is sent any more")
+        until(lambda: rates("tail") == [0.0], "nothing is sent any more")
         window.graph.bar.choose("debug", 0)  # this node is named like rqt's
         window.graph.bar.choose("nodes", 1)
         me = f"p_{rospy.get_name()}"
         until(lambda: me in scene.vertices, "the listening node is shown")
-        self.does(monitor.undo, lambda: topic(out) == "", "the connection is taken back")
+        self.does(monitor.undo, lambda: self.topic(out) == "", "the connection is taken back")
 
     def test_the_ball_is_asked_for_and_followed(self) -> None:
         manager = self.make(ontologies=[str(EXAMPLES / "ontologies" / "soccer.ttl")])
@@ -262,21 +260,12 @@ class WindowTest(Window, ManagerCase):
         view = window.graph.view
 
         def topic(nodelet: str, port: str) -> object:
-            found = self.monitor.snapshot.port(PortRef(nodelet, port))
-            return None if found is None else found.topic
+            return self.topic(PortRef(nodelet, port))
 
         def at(ref: PortRef) -> QPoint:
             until(lambda: view.place_of(ref) and window.graph.layouter.is_idle, "it is drawn")
             view.fit()
             return view.place_of(ref)
-
-        def drag(start: QPoint, end: QPoint) -> None:
-            """As a hand does."""
-            QTest.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, start)
-            for place in ((start + end) / 2, end):
-                move = QEvent.MouseMove, QPointF(place), Qt.NoButton, Qt.LeftButton, Qt.NoModifier
-                QApplication.sendEvent(view.viewport(), QMouseEvent(*move))
-            QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, end)
 
         def choose(text: str) -> None:
             menus = [menu for menu in window.graph.findChildren(QMenu) if menu.isVisible()]
@@ -285,7 +274,7 @@ class WindowTest(Window, ManagerCase):
             menus[0].close()
 
         until(lambda: "relay" in self.monitor.library, "the library is there")
-        drag(at(OUT), QPoint(view.viewport().width() - 90, view.viewport().height() - 90))
+        drag(view, at(OUT), QPoint(view.viewport().width() - 90, view.viewport().height() - 90))
         choose("relay: in")
         until(lambda: topic("/relay", "in") == topic("/count", "out") == "/count/out", "made")
         put = window.graph.edits.places.present["n_/relay"]
@@ -295,7 +284,7 @@ class WindowTest(Window, ManagerCase):
         manager.client.spawn("relay", "/second")
         end = at(PortRef("/second", "in"))
         edge = next(each for each in scene.edges if each.head == "n_/relay")
-        drag(end, view.mapFromScene(scene.edges[edge].path.pointAtPercent(0.5)))
+        drag(view, end, view.mapFromScene(scene.edges[edge].path.pointAtPercent(0.5)))
         until(lambda: topic("/relay", "in") == topic("/second", "out") != "", "it is spliced in")
         self.assertEqual(topic("/second", "in"), "/count/out")
         heard = self.enter(Heard("/end"))

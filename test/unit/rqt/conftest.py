@@ -13,12 +13,12 @@ from clocks import PATIENCE
 def patient_window(request, monkeypatch):
     """No window takes a manager for silent because the machine is busy."""
     if "qtbot" in request.fixturenames:
-        monkeypatch.setattr("dyknow_rqt.graph.contact.PATIENCE", PATIENCE)
+        monkeypatch.setattr("dyknow_rqt.graph.health.PATIENCE", PATIENCE)
 
 
 @pytest.fixture
 def remote():
-    from dyknow_rqt.example_graphs import soccer
+    from dyknow_rqt.simulated import soccer
 
     return soccer()
 
@@ -36,3 +36,13 @@ def window(qtbot, remote):
     until(qtbot, lambda: is_ready(widget))
     until(qtbot, lambda: is_settled(widget))
     return widget
+
+
+@pytest.fixture
+def view(window):
+    return window.graph.view
+
+
+@pytest.fixture
+def scene(view):
+    return view.scene()

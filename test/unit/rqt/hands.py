@@ -104,6 +104,18 @@ def click(qtbot, button):
     qtbot.mouseClick(button, Qt.LeftButton)
 
 
+def undo(qtbot, window):
+    """Take the last change back with the button, once there is one to take back."""
+    until(qtbot, window.graph.bar.undo.isEnabled)
+    click(qtbot, window.graph.bar.undo)
+
+
+def show(window, panel):
+    """Show the tab of a panel, and return that."""
+    window.tabs.setCurrentWidget(panel)
+    return panel
+
+
 def button_of(action):
     return next(each for each in action.associatedWidgets() if isinstance(each, QToolButton))
 

@@ -16,7 +16,6 @@ from dyknow.model.hosts import pins
 from dyknow.model.transformation import IN, Parameter
 from dyknow.wiring.ports import CannotConnect
 from dyknow.wiring.wiring import Wiring, wiring_of
-from dyknow_rqt.example_graphs import soccer
 from dyknow_rqt.graph.changes import (
     CannotUndo,
     Present,
@@ -33,6 +32,7 @@ from dyknow_rqt.graph.changes import (
 )
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, topics_for
+from dyknow_rqt.simulated import soccer
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")
@@ -185,24 +185,19 @@ def test_what_others_changed_is_not_taken_back(remote):
 MODE, SLOW = (Parameter("mode", "string", text) for text in ("fast", "slow"))
 
 
+X = SpawnRequest("tracker", "/x")
+
+
 @pytest.mark.parametrize(
     ("change", "other", "why"),
     [
-        (spawn(SpawnRequest("tracker", "/x")), lambda c: c.destroy("/x"), "/x is gone"),
+        (spawn(X), lambda c: c.destroy("/x"), "/x is gone"),
+        (spawn(X), lambda c: (c.destroy("/x"), c.spawn("resize", "/x", {})), "/x from resize"),
+        (spawn(X), lambda c: c.set_protection("/x", True), "client has protected /x"),
         (
-            spawn(SpawnRequest("tracker", "/x")),
-            lambda c: (c.destroy("/x"), c.spawn("resize", "/x", {})),
-            "another client has made /x from resize",
-        ),
-        (
-            spawn(SpawnRequest("tracker", "/x")),
+            load_wiring(Wiring(nodelets=(X,))),
             lambda c: c.set_protection("/x", True),
-            "another client has protected /x",
-        ),
-        (
-            load_wiring(Wiring(nodelets=(SpawnRequest("tracker", "/x"),))),
-            lambda c: c.set_protection("/x", True),
-            "another client has protected /x",
+            "client has protected /x",
         ),
         (
             isolate(["/nao1/resize", "/field/tracker"], True),

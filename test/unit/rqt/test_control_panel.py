@@ -9,7 +9,17 @@ import time
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
-from unit.rqt.hands import CEILING, TRACKER, cells_of, click, no_boxes, topic, until, vertex_keys
+from unit.rqt.hands import (
+    CEILING,
+    TRACKER,
+    cells_of,
+    click,
+    no_boxes,
+    show,
+    topic,
+    until,
+    vertex_keys,
+)
 
 from dyknow.model.graph import OUTDATED, PortRef
 from dyknow_rqt.panels.tables import KeyedTable
@@ -27,6 +37,9 @@ def test_active_lists_and_destroys(qtbot, window, remote):
     click(qtbot, window.active.destroy)
     click(qtbot, window.line.yes)
     until(qtbot, lambda: "/nao1/bottom_camera" not in table.names())
+    remote.client.alter("/nao1/resize", detail=f"{OUTDATED}its code changed")
+    row = table.names().index("/nao1/resize")
+    until(qtbot, lambda: cells_of(table, row)[4].startswith("outdated"))
 
 
 def test_a_table_tells_of_picks_after_rows_that_it_could_not_show(qtbot, monkeypatch):
@@ -42,16 +55,8 @@ def test_a_table_tells_of_picks_after_rows_that_it_could_not_show(qtbot, monkeyp
     assert picked == [["10"]]
 
 
-def test_active_marks_what_is_outdated(qtbot, window, remote):
-    remote.client.alter("/nao1/resize", detail=f"{OUTDATED}its code changed")
-    model = window.active.table.model()
-    row = window.active.table.names().index("/nao1/resize")
-    until(qtbot, lambda: model.index(row, 4).data().startswith("outdated"))
-
-
 def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_path):
-    panel = window.library
-    window.tabs.setCurrentWidget(panel)
+    panel = show(window, window.library)
     panel.table.choose(["tracker"])
     assert "<label>tracker</label>" in panel.specification.toPlainText()
     path = tmp_path / "out.xml"
@@ -92,8 +97,7 @@ def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path
 
 
 def test_create_makes_a_nodelet(qtbot, window, remote):
-    window.tabs.setCurrentWidget(window.create_)
-    panel = window.create_
+    panel = show(window, window.create_)
     assert not panel.create.isEnabled()
     panel.begin("tracker")
     assert panel.name.text() == "/tracker"
@@ -111,18 +115,13 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     panel.name.setText("no name")
     click(qtbot, panel.create)
     assert "'no name' is not a valid" in window.line.text
-
-
-def test_a_name_that_is_typed_while_a_nodelet_is_made_stays(qtbot, window, remote):
-    panel = window.create_
-    window.tabs.setCurrentWidget(panel)
     panel.begin("tracker")
     remote.client.answers.clear()
     click(qtbot, panel.create)
     panel.name.setText("/next")
     remote.client.answers.set()
     until(qtbot, lambda: remote.graph().nodelet("/tracker") and not window.monitor.is_changing)
-    assert panel.name.text() == "/next"
+    assert panel.name.text() == "/next", "a name that is typed meanwhile stays"
 
 
 def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
@@ -134,8 +133,7 @@ def test_create_gives_names_for_variables_and_parameters(qtbot, window, remote):
         '<tag port="in">Image(?camera)</tag><tag port="other">Lens(?lens)</tag></tags>'
         "</transformation>"
     )
-    panel = window.create_
-    window.tabs.setCurrentWidget(panel)
+    panel = show(window, window.create_)
     until(qtbot, lambda: "eye" in window.monitor.library)
     panel.begin("eye")
     fields = panel.given.fields
@@ -170,8 +168,7 @@ def _key(item):
 
 
 def test_connect_offers_only_what_fits(qtbot, window, remote):
-    window.tabs.setCurrentWidget(window.connect_)
-    panel = window.connect_
+    panel = show(window, window.connect_)
     panel.source.nodelet.setCurrentText("/field/ceiling_camera")
     sinks = {panel.sink.nodelet.itemText(i) for i in range(panel.sink.nodelet.count())}
     assert sinks == {"/field/tracker", "/nao1/localization"}
@@ -185,8 +182,7 @@ def test_connect_offers_only_what_fits(qtbot, window, remote):
 
 
 def test_connect_takes_a_topic_by_name(qtbot, window, remote):
-    window.tabs.setCurrentWidget(window.connect_)
-    panel = window.connect_
+    panel = show(window, window.connect_)
     panel.begin("/field/tracker", "position")
     assert panel.now.text() == "/field/ball"
     panel.topic.setText("~other")
@@ -203,8 +199,7 @@ def test_connect_takes_a_topic_by_name(qtbot, window, remote):
 
 @pytest.mark.parametrize("lost", [TRACKER, CEILING])
 def test_connect_waits_for_a_chosen_nodelet_that_goes(qtbot, window, remote, lost):
-    window.tabs.setCurrentWidget(window.connect_)
-    panel = window.connect_
+    panel = show(window, window.connect_)
     panel.begin(CEILING.nodelet, CEILING.port)
     panel.sink.choose(TRACKER)
     panel.single.choose(TRACKER)

@@ -21,6 +21,7 @@ from unit.rqt.hands import (
     is_settled,
     move,
     topic,
+    undo,
     until,
     vertex_keys,
     window_of,
@@ -28,11 +29,10 @@ from unit.rqt.hands import (
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.figure import Edge
-from dyknow_rqt.graph.geometry import Point
-from dyknow_rqt.graph.places import Places
+from dyknow_rqt.graph.geometry import Places, Point
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import splice
-from dyknow_rqt.parameters import ParametersDialog
+from dyknow_rqt.panels.create import ParametersDialog
 
 MOVED, RESIZE = "n_/nao1/resize", PortRef("/nao1/resize", "image")
 YUV = "/nao1/top_camera/yuv"
@@ -66,9 +66,8 @@ def flowing(request, qtbot, window):
     return window
 
 
-def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, remote):
+def test_a_nodelet_is_moved_with_its_arrows_and_box_and_stays(qtbot, flowing, remote, scene):
     window, view = flowing, flowing.graph.view
-    scene = view.scene()
     others = {key: place_of(window, key) for key in scene.vertices if key != MOVED}
     start = centre_of(view, MOVED)
     end = start + QPoint(30, 60)
@@ -127,8 +126,7 @@ def test_places_are_kept_with_the_settings_until_the_graph_is_tidied(qtbot, wind
     assert another.state()["places"] == ""
 
 
-def test_a_rubber_band_selects_what_is_moved_together(qtbot, window):
-    view = window.graph.view
+def test_a_rubber_band_selects_what_is_moved_together(window, view):
     scene, port = view.scene(), view.viewport()
     ends = [scene.vertices[key].sceneBoundingRect() for key in (MOVED, "n_/nao1/recorder")]
     whole = view.mapFromScene(ends[0].united(ends[1])).boundingRect()
@@ -178,8 +176,7 @@ def test_places_belong_to_a_wiring_and_are_taken_over_by_the_next():
 # Wires
 
 
-def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, window, remote):
-    view = window.graph.view
+def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, window, remote, view):
     ground = QPoint(300, view.viewport().height() - 60)
     place = view.mapToScene(ground)
     drag(view, view.place_of(CEILING), ground)
@@ -189,8 +186,7 @@ def test_a_wire_dropped_on_the_ground_makes_a_sink_or_a_source_there(qtbot, wind
     assert topic(remote, made) == topic(remote, CEILING) == "/field/ceiling_camera/field_position"
     until(qtbot, lambda: "n_/field/tracker_2" in view.scene().vertices)
     assert (view.scene().vertices["n_/field/tracker_2"].pos() - place).manhattanLength() < 1
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: remote.graph().nodelet("/field/tracker_2") is None)
     until(qtbot, lambda: topic(remote, CEILING) == "")
     remote.client.set_config("/field/tracker", {"position": ""})
@@ -252,8 +248,7 @@ def test_a_wire_dropped_on_an_arrow_splices(qtbot, window, remote, side):
     QTest.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, on)
     until(qtbot, lambda: topic(remote, RESIZE) == "/nao1/half/resized")
     assert (topic(remote, ends[0]), topic(remote, ends[1])) == (YUV, "/nao1/half/resized")
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: topic(remote, RESIZE) == YUV)
     assert topic(remote, ends[0]) == topic(remote, ends[1]) == ""
 
@@ -266,8 +261,7 @@ def test_spliced_before_a_topic_all_its_receivers_follow(qtbot, window, remote):
     assert source == topic(remote, ends[0]) != YUV and topic(remote, RESIZE) == YUV
 
 
-def test_a_wire_that_does_not_fit_an_arrow_says_why(qtbot, window, remote):
-    view = window.graph.view
+def test_a_wire_that_does_not_fit_an_arrow_says_why(qtbot, window, remote, view):
     drag(view, view.place_of(CEILING), middle_of(view, MOVED, f"t_{YUV}"))
     assert f"but {YUV} carries sensor_msgs/Image" in window.line.text
     drag(view, view.place_of(TRACKER), middle_of(view, "n_/field/tracker", "t_/field/ball"))
@@ -301,7 +295,7 @@ def test_nodelets_are_restarted_and_that_cannot_be_undone(qtbot, window, remote)
     window.monitor.done.connect(done.append)
     context_menu(qtbot, window, items["n_/nao1/subsampler"])["Re&start"].trigger()
     until(qtbot, lambda: done == ["done: restart /nao1/subsampler"])
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: "was restarted" in window.line.text)
 
 

@@ -12,30 +12,14 @@ import pytest
 from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
 from python_qt_binding.QtGui import QImage, QWheelEvent
 from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
-from unit.rqt.hands import centre_of, drag, is_settled, until, vertex_keys
+from unit.rqt.hands import centre_of, drag, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph_files import save_drawing
 
 
-def test_hovering_lights_up_the_neighbours(qtbot, window, remote):
-    scene = window.graph.view.scene()
-    qtbot.mouseMove(window.graph.view.viewport(), centre_of(window.graph.view, "n_/nao1/resize"))
-    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].tone.value == "self")
-    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "in"
-    assert scene.vertices["t_/nao1/preview"].tone.value == "out"
-    assert scene.vertices["n_/nao1/recorder"].tone.value == "none"
-    remote.client.set_config("/nao1/resize", {"resized": "/nao1/top_camera/yuv"})
-    loop = {("n_/nao1/resize", "t_/nao1/top_camera/yuv")}
-    until(qtbot, lambda: loop <= {(edge.tail, edge.head) for edge in scene.edges})
-    until(qtbot, lambda: is_settled(window))
-    scene.highlight("n_/nao1/resize")
-    assert scene.vertices["t_/nao1/top_camera/yuv"].tone.value == "both"
-
-
-def test_the_wheel_zooms_where_the_pointer_is(qtbot, window):
-    view = window.graph.view
+def test_the_wheel_zooms_where_the_pointer_is(qtbot, view):
     place = centre_of(view, "n_/nao1/localization")
     qtbot.mouseMove(view.viewport(), place)
     before, zoom = view.mapToScene(place), view.zoom
@@ -54,8 +38,7 @@ def test_the_wheel_zooms_where_the_pointer_is(qtbot, window):
     assert (view.mapFromScene(before) - place).manhattanLength() <= 2
 
 
-def test_a_drag_on_the_ground_moves_the_view(qtbot, window):
-    view = window.graph.view
+def test_a_drag_on_the_ground_moves_the_view(qtbot, view):
     ground = QPoint(20, view.viewport().height() - 20)
     qtbot.mouseClick(view.viewport(), Qt.LeftButton, Qt.NoModifier, ground)
     assert not view.is_chosen, "a click keeps it fitting"
@@ -95,7 +78,7 @@ def test_options_change_what_is_drawn(qtbot, window, remote):
     until(qtbot, lambda: window.graph.drawn.groups() == [])
 
 
-def test_find_selects_one_after_the_other_and_arrow_keys_walk_on(qtbot, window):
+def test_find_selects_one_after_the_other_and_arrow_keys_walk_on(qtbot, window, view):
     window.active.table.setFocus()
     qtbot.keyClick(window.active.table, Qt.Key_F, Qt.ControlModifier)
     edit = window.graph.bar.search
@@ -107,7 +90,6 @@ def test_find_selects_one_after_the_other_and_arrow_keys_walk_on(qtbot, window):
         qtbot.keyClick(edit, Qt.Key_Return)
         found += [item.vertex.name for item in window.graph.view.scene().selectedItems()]
     assert sorted(set(found)) == sorted(found) and len(found) == 5
-    view = window.graph.view
     view.select(view.scene().vertices["n_/nao1/top_camera"])
     seen = []
     for _ in range(2):
@@ -145,8 +127,9 @@ def test_a_name_without_an_ending_gets_that_of_what_was_chosen(qtbot, window, tm
     assert not QImage(str(tmp_path / "graph.png")).isNull()
 
 
-def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(qtbot, window, remote):
-    scene = window.graph.view.scene()
+def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(
+    qtbot, window, remote, scene
+):
     node = window.monitor.snapshot.nodelet("/nao1/subsampler").node
     topic = "/nao1/subsampler/hsv"
     remote.connected = {
@@ -177,8 +160,7 @@ def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(qtbot, win
     assert "connections" not in scene.facts.tip_of(scene.vertices["n_/nao1/subsampler"])
 
 
-def test_states_are_told_apart(window):
-    scene = window.graph.view.scene()
+def test_states_are_told_apart(window, scene):
     vertices = scene.vertices
     for key, badge in (
         ("n_/nao1/bottom_camera", "protected"),
@@ -188,20 +170,15 @@ def test_states_are_told_apart(window):
         ("n_/field/tracker", ""),
     ):
         assert vertices[key]._badge() == badge, key
-    assert "no device /dev/video4" in scene.facts.tip_of(vertices["n_/field/ceiling_camera"])
-
-
-def test_a_nodelet_that_is_back_has_its_state_again(window):
-    facts = window.graph.view.scene().facts
-    item = window.graph.view.scene().vertices["n_/field/ceiling_camera"]
+    item = vertices["n_/field/ceiling_camera"]
+    assert "no device /dev/video4" in scene.facts.tip_of(item)
     for snapshot, badge in ((Snapshot(), ""), (window.monitor.snapshot, "failed")):
-        facts.take(snapshot)
-        facts.show_vertex(item)
+        scene.facts.take(snapshot)  # it goes, and is back
+        scene.facts.show_vertex(item)
         assert item._badge() == badge
 
 
-def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
-    view = window.graph.view
+def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote, view):
     before = {key: item.pos() for key, item in view.scene().vertices.items()}
     corner, zoom = view.mapToScene(0, 0), view.zoom
     remote.client.spawn(
@@ -214,9 +191,7 @@ def test_the_view_does_not_jump_when_something_comes(qtbot, window, remote):
     assert (view.mapToScene(0, 0) - corner).manhattanLength() < 2 and view.zoom == zoom
 
 
-def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote):
-    view = window.graph.view
-
+def test_what_comes_is_seen_until_hands_choose_the_view(qtbot, window, remote, view):
     def is_seen():
         seen = view.mapToScene(view.viewport().rect()).boundingRect()
         return seen.contains(view.scene().drawing_area())

@@ -19,7 +19,7 @@ from python_qt_binding.QtWidgets import (
 )
 from unit.rqt.hands import CEILING, button_of, create, description_of, texts_of, until
 
-from dyknow_rqt.example_graphs import soccer
+from dyknow_rqt.simulated import soccer
 from dyknow_rqt.widgets import KEYS, KeysDialog
 
 
@@ -87,7 +87,7 @@ def test_escape_takes_a_question_back_from_everywhere(qtbot, window, remote):
     ]
     for tab, place in places:
         window.tabs.setCurrentWidget(tab)
-        window.active.ask_to_destroy(["/field/tracker"])
+        window.graph.edits.ask_to_destroy(["/field/tracker"])
         until(qtbot, window.line.yes.hasFocus)
         place.setFocus()
         qtbot.keyClick(place, Qt.Key_Escape)
@@ -97,7 +97,7 @@ def test_escape_takes_a_question_back_from_everywhere(qtbot, window, remote):
 
 def test_a_question_about_many_is_short(qtbot, window, remote):
     names = [each.name for each in remote.graph().nodelets if not each.is_protected]
-    window.active.ask_to_destroy(names)
+    window.graph.edits.ask_to_destroy(names)
     assert window.line.text.startswith("Destroy 9 nodelets?")
     label = next(each for each in window.line.findChildren(QLabel) if "Destroy" in each.text())
     assert all(name in label.toolTip() for name in names)
@@ -106,15 +106,14 @@ def test_a_question_about_many_is_short(qtbot, window, remote):
 def test_after_a_question_the_focus_is_where_it_was(qtbot, window):
     for answer in (window.line.no.click, lambda: qtbot.keyClick(window.line.yes, Qt.Key_Escape)):
         window.active.table.setFocus()
-        window.active.ask_to_destroy(["/field/tracker"])
-        window.active.ask_to_destroy(["/nao1/resize"])  # another question instead
+        window.graph.edits.ask_to_destroy(["/field/tracker"])
+        window.graph.edits.ask_to_destroy(["/nao1/resize"])  # another question instead
         until(qtbot, window.line.yes.hasFocus)
         answer()
         assert window.active.table.hasFocus()
 
 
-def test_escape_dismisses_an_error_but_first_ends_a_connection(qtbot, window, remote):
-    view = window.graph.view
+def test_escape_dismisses_an_error_but_first_ends_a_connection(qtbot, window, remote, view):
     window.line.report("wrong")
     qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, view.place_of(CEILING))
     assert view.wire.isVisible()
@@ -146,7 +145,7 @@ def test_the_keys_are_listed_in_the_window_and_in_the_documentation(qtbot, windo
 
 
 def test_everything_that_takes_the_focus_has_a_name(window):
-    window.active.ask_to_destroy(["/field/tracker"])
+    window.graph.edits.ask_to_destroy(["/field/tracker"])
     buddies = {label.buddy() for label in window.findChildren(QLabel)}
     nameless = [
         description_of(widget)

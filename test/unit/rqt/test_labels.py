@@ -22,7 +22,7 @@ from dyknow_rqt.canvas.overview import FAR, paint_titles
 from dyknow_rqt.canvas.vertices import VertexItem
 from dyknow_rqt.graph.figure import Edge, Vertex, VertexKind
 from dyknow_rqt.graph.geometry import Point, Rectangle, Size, boxes_around, place_labels
-from dyknow_rqt.graph.rates import PortRate
+from dyknow_rqt.graph.measurements import PortRate
 
 SIZE = Size(40.0, 12.0)
 SIZES = (SIZE, Size(30.0, 12.0))
@@ -122,7 +122,8 @@ def test_where_topics_are_drawn_each_rate_is_written_and_no_label_covers_anythin
 
 
 def is_labelled(scene):
-    return scene.is_labelled and not scene.slices.is_wanted(scene._show_all_traffic)
+    is_placed = scene.labels.are_placed and not scene.is_drawing
+    return is_placed and not scene.slices.is_wanted(scene._show_all_traffic)
 
 
 def test_where_a_rate_stands_does_not_depend_on_its_value(qapp):

@@ -9,7 +9,7 @@ import pytest
 
 from dyknow.model.graph import PortRef
 from dyknow.model.statistics import NodeletCount, PortCount
-from dyknow_rqt.graph.rates import Meter
+from dyknow_rqt.graph.measurements import Meter
 
 REF, PERIOD = PortRef("/n", "out"), 0.8
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtGui import QGuiApplication
-from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, until, vertex_keys
+from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, show, undo, until, vertex_keys
 
 from dyknow.model.graph import State
 from dyknow.model.streams import Replanned, StreamRequest
@@ -25,8 +25,7 @@ _WEATHER = (
 
 
 def _ask_for(qtbot, window, tag):
-    panel = window.streams
-    window.tabs.setCurrentWidget(panel)
+    panel = show(window, window.streams)
     panel.tag.clear()
     qtbot.keyClicks(panel.tag, tag)
     return panel
@@ -114,17 +113,6 @@ def test_a_stream_that_is_not_possible_waits_and_says_for_what(qtbot, window, re
     click(qtbot, panel.acquire)
     until(qtbot, lambda: "acquire no term(: " in window.line.text)
     assert len(panel.table.names()) == 1 and no_boxes()
-
-
-def test_the_cheapest_way_is_taken_after_asking(qtbot, window, remote):
-    panel = _ask_for(qtbot, window, "Track(ball)")
-    click(qtbot, panel.acquire)
-    until(qtbot, lambda: bool(panel.table.names()) and not window.monitor.is_changing)
-    panel.table.choose(panel.table.names())
-    click(qtbot, panel.replan)
-    until(qtbot, lambda: "Switch Track(ball) to this plan, at a cost of 0?" in window.line.text)
-    click(qtbot, window.line.yes)
-    until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
 
 
 def test_a_formula_is_required_of_a_stream(qtbot, window, remote):
@@ -229,8 +217,7 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     until(
         qtbot, lambda: "n_/tracker_1" in vertex_keys(window) and ghost not in vertex_keys(window)
     )
-    until(qtbot, window.graph.bar.undo.isEnabled)
-    click(qtbot, window.graph.bar.undo)
+    undo(qtbot, window)
     until(qtbot, lambda: remote.client.list_streams()[0].state.name == "RELEASED")
 
 
@@ -311,8 +298,7 @@ def test_a_tag_is_completed_within_its_parentheses():
 
 def _replanned(qtbot, window, remote, request):
     """Show how a stream would be made again."""
-    panel = window.streams
-    window.tabs.setCurrentWidget(panel)
+    panel = show(window, window.streams)
     claim_id = remote.client.acquire_stream(request).claim_id
     until(qtbot, lambda: claim_id in panel.table.names())
     panel.table.choose([claim_id])
@@ -333,8 +319,13 @@ def test_replan_lists_the_next_best_ways_within_the_claims_limits(
     until(qtbot, lambda: [way[0].what for way in panel.plan.ways[2:]] == others)
 
 
-def test_what_feeds_a_stream_that_stays_is_not_struck_out(qtbot, window, remote):
+def test_the_cheapest_way_is_taken_after_asking_and_what_stays_is_not_struck_out(
+    qtbot, window, remote
+):
     panel = _replanned(qtbot, window, remote, StreamRequest("Track(ball)"))
     assert panel.plan.text.startswith("Track(ball) [nav_msgs/Path]  0")
     assert "Used no longer" not in panel.plan.text
     assert len(window.monitor.streams[0].nodelets) > 1
+    assert window.line.text == "Switch Track(ball) to this plan, at a cost of 0?"
+    click(qtbot, window.line.yes)
+    until(qtbot, lambda: window.line.text == "done: replan Track(ball)")

@@ -26,8 +26,7 @@ from unit.rqt.test_graph import nodelet
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow_rqt.canvas.items import Mark
-from dyknow_rqt.graph.moments import Difference, GraphMoment, Moments, difference
-from dyknow_rqt.graph.snapshot import Snapshot
+from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, Snapshot, difference
 from dyknow_rqt.screenshots import dark_palette
 
 BALL = "/field/ball"
@@ -96,8 +95,7 @@ def marks(window):
     return window.graph.view.scene().marks
 
 
-def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remote, marks):
-    scene = window.graph.view.scene()
+def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remote, marks, scene):
     assert not any(item.mark for item in scene.vertices.values())
     remote.client.spawn("tracker", "/field/another", {"position": BALL})
     until(qtbot, lambda: "n_/field/another" in scene.vertices)
@@ -210,10 +208,9 @@ def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, t
     assert "to now: + /field/another" in timeline.words.text()
 
 
-def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track):
+def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track, view):
     qtbot.keyClick(track, Qt.Key_Home)
     until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
-    view = window.graph.view
     drag(view, view.place_of(TRACKER), QPoint(300, 300))
     before = view.scene().vertices["n_/nao1/resize"].pos()
     drag(view, centre_of(view, "n_/nao1/resize"), QPoint(300, 300))

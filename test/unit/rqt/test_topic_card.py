@@ -147,41 +147,43 @@ def test_what_an_ordinary_node_publishes_has_the_rate_of_its_sink(qtbot, window,
     until(qtbot, lambda: "50 Hz" in window.graph.card.facts.text())
 
 
-def test_the_curve_goes_on_while_other_numbers_come_and_go(qtbot, window, remote):
+@pytest.fixture
+def send(qtbot, window, remote):
+    """A function that sends a message, and waits until the card, which is open, shows it."""
     card = window.graph.card
     card.show_topic(BALL)
     until(qtbot, lambda: remote.listeners.get(BALL))
+
+    def sent(text, image=None, **numbers):
+        remote.send(BALL, Sample(text, numbers, image, 8))
+        until(qtbot, lambda: card.text.toPlainText() == text)
+
+    return sent
+
+
+def test_the_curve_goes_on_while_other_numbers_come_and_go(window, send):
+    card = window.graph.card
     for number in range(6):
-        numbers = {"x": float(number), **({"y": 1.0} if number % 2 else {})}
-        remote.send(BALL, Sample(f"{number}", numbers, None, 8))
-    until(qtbot, lambda: card.text.toPlainText() == "5")
+        send(f"{number}", x=float(number), **({"y": 1.0} if number % 2 else {}))
     assert [value for _, value in card.curve.points] == [0, 1, 2, 3, 4, 5]
-    remote.send(BALL, Sample("6", {"y": 7.0}, None, 8))
-    until(qtbot, lambda: card.text.toPlainText() == "6")
+    send("6", y=7.0)
     assert [value for _, value in card.curve.points] == [0, 1, 2, 3, 4, 5]
     card.field.setCurrentText("y")
-    remote.send(BALL, Sample("7", {"x": 7.0}, None, 8))
-    remote.send(BALL, Sample("8", {"x": 8.0, "y": 8.0, "z": 8.0}, None, 8))
-    until(qtbot, lambda: card.text.toPlainText() == "8")
+    send("7", x=7.0)
+    send("8", x=8.0, y=8.0, z=8.0)
     assert [value for _, value in card.curve.points] == [8] and card.field.currentText() == "y"
 
 
-def test_a_curve_and_an_image_are_shown_from_the_first_that_comes_on(qtbot, window, remote):
+def test_a_curve_and_an_image_are_shown_from_the_first_that_comes_on(window, send):
     card, places = window.graph.card, []
-    card.show_topic(BALL)
-    until(qtbot, lambda: remote.listeners.get(BALL))
-    remote.send(BALL, Sample("nan", {}, None, 4))
-    until(qtbot, lambda: card.text.toPlainText() == "nan")
+    send("nan")
     assert not card.curve.isVisible() and not card.field.isVisible()
     place, card.place = card.place, lambda: places.append(place())
-    remote.send(BALL, Sample("1", {"data": 1.0}, None, 4))
-    until(qtbot, lambda: card.text.toPlainText() == "1")
+    send("1", data=1.0)
     assert card.curve.isVisible() and card.field.isVisible() and len(places) == 1
-    remote.send(BALL, Sample("nan again", {}, None, 4))
-    until(qtbot, lambda: card.text.toPlainText() == "nan again")
+    send("nan again")
     assert card.curve.isVisible() and len(places) == 1
-    remote.send(BALL, Sample("image", {}, SmallImage(1, 1, b"rgb", "tiny"), 3))
-    until(qtbot, lambda: card.text.toPlainText() == "image")
+    send("image", SmallImage(1, 1, b"rgb", "tiny"))
     assert card.image.isVisible() and not card.curve.isVisible() and len(places) == 2
 
 

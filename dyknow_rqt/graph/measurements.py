@@ -1,16 +1,22 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Rates of ports and loads of nodelets, from the counts that the manager publishes."""
+"""What is measured: rates of ports, loads of nodelets, and verdicts of formulas.
+
+Rates and loads are computed from the counts that the manager publishes.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Iterable, Iterator, Mapping, Sequence
 
-from dyknow.model.graph import PortRef
+from dyknow.formulas import Truth, Verdict
+from dyknow.model.graph import NodeletStatus, PortRef, PortState, State
 from dyknow.model.statistics import NodeletCount, NodeletLoad, PortCount
+from dyknow.model.streams import StreamStatus
+from dyknow.model.transformation import IN, VERDICT
 
 #: Seconds over which rates are computed at most, and drops are counted at least.
 _STRETCH = 4.0
@@ -30,23 +36,18 @@ _BUSY = 0.5
 
 @dataclass(frozen=True)
 class PortRate:
-    """The traffic of a port.
+    """The traffic of a port: messages and drops, a second now, and since its nodelet was loaded.
 
-    Attributes:
-        rate: messages a second now.
-        drop_rate: dropped messages a second now.
-        messages: since its nodelet was loaded.
-        dropped: since its nodelet was loaded.
-        bandwidth: bytes a second now; None if the size of a message is not known.
-        age: seconds between the stamp of a message and its publication; None if not known.
+    The bandwidth is in bytes a second; the age is the time (s) from the stamp of a message to its
+    publication. Both are None if not known.
     """
 
     rate: float
     drop_rate: float
     messages: int
     dropped: int
-    bandwidth: Optional[float] = None
-    age: Optional[float] = None
+    bandwidth: float | None = None
+    age: float | None = None
 
     @property
     def is_old(self) -> bool:
@@ -65,11 +66,9 @@ class PortRate:
 
 @dataclass(frozen=True)
 class Strain:
-    """The load of a nodelet that makes it stand out.
+    """What makes a nodelet stand out: its load, and the text of an error that came lately.
 
-    Attributes:
-        load: share of one core, of 1 at most; without processor time that of its callbacks.
-        error: text of the last error of a callback, if that was lately; empty if not.
+    The load is a share of one core, of 1 at most; without processor time that of its callbacks.
     """
 
     load: float = 0.0
@@ -98,12 +97,12 @@ class _Track:
         is_overdue: no message came when the next was due.
     """
 
-    moves: List[Tuple[float, int]] = field(default_factory=list)
-    drops: List[Tuple[float, int]] = field(default_factory=list)
+    moves: list[tuple[float, int]] = field(default_factory=list)
+    drops: list[tuple[float, int]] = field(default_factory=list)
     begin: float = -1.0
     is_overdue: bool = False
 
-    def take(self, time: float, count: PortCount) -> Optional[PortRate]:
+    def take(self, time: float, count: PortCount) -> PortRate | None:
         """Take a count; returns the traffic, None while it is not known."""
         messages, dropped = count.messages, count.dropped
         self.drops = self.drops or [(time, dropped)]
@@ -117,7 +116,7 @@ class _Track:
         bandwidth = rate * count.size if count.size else None
         return PortRate(rate, drop_rate, messages, dropped, bandwidth, count.age if rate else None)
 
-    def _rate(self, time: float, messages: int) -> Optional[float]:
+    def _rate(self, time: float, messages: int) -> float | None:
         moves = self.moves
         if self.begin < 0.0:
             self.begin = time
@@ -148,13 +147,13 @@ class Meter:
     """
 
     def __init__(self) -> None:
-        self._last: Dict[str, Tuple[float, Deque[NodeletCount]]] = {}
+        self._last: dict[str, tuple[float, deque[NodeletCount]]] = {}
         self._topics: Mapping[PortRef, str] = {}
-        self._tracks: Dict[PortRef, _Track] = {}
+        self._tracks: dict[PortRef, _Track] = {}
         #: The traffic of all ports where it is known.
-        self.traffic: Dict[PortRef, PortRate] = {}
+        self.traffic: dict[PortRef, PortRate] = {}
         #: That of nodelets, by name, where it is known.
-        self.strains: Dict[str, Strain] = {}
+        self.strains: dict[str, Strain] = {}
 
     def take(self, counts: Iterable[NodeletCount], now: float) -> None:
         """Take the counts that came ``now``, in seconds of a steady clock."""
@@ -198,7 +197,7 @@ class Meter:
         share = load.busy if load.cpu is None else load.cpu
         self.strains[last.nodelet] = Strain(min(share, 1.0), last.recent_error)
 
-    def _forget(self, nodelets: Set[str]) -> None:
+    def _forget(self, nodelets: set[str]) -> None:
         if nodelets:
             self._drop(ref for ref in self._topics if ref.nodelet in nodelets)
 
@@ -223,3 +222,64 @@ def _number(value: float) -> str:
     if value < 0.995:
         return f"{value:.2f}"
     return f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
+
+
+@dataclass(frozen=True)
+class PortVerdict:
+    """The first of the last equal verdicts from an out-port; None before there is one.
+
+    Its formula has the tags of the stream of verdicts, or else the formula.
+    """
+
+    formula: str
+    verdict: Verdict | None
+
+    @property
+    def truth(self) -> Truth:
+        return Truth.UNKNOWN if self.verdict is None else self.verdict.value
+
+    @property
+    def text(self) -> str:
+        if self.verdict is None:
+            return f"{self.formula}: no verdict yet"
+        since = f"{self.verdict.value.name} since {self.verdict.since / 1e9:.3f}"
+        return f"{self.formula}: {since}\n{self.verdict.why}".rstrip()
+
+
+def verdict_sources(nodelets: Iterable[NodeletStatus]) -> frozenset[tuple[str, str]]:
+    """Find the nodes that publish verdicts now, each with the topic."""
+    ports = _ports_of_verdicts(nodelets)
+    return frozenset(
+        (each.node, port.topic) for each, port in ports if each.state is State.RUNNING
+    )
+
+
+def port_verdicts(
+    nodelets: Iterable[NodeletStatus],
+    verdicts: Mapping[str, Verdict | None],
+    streams: Iterable[StreamStatus],
+) -> dict[PortRef, PortVerdict]:
+    """Find the last verdict, by topic, of each out-port.
+
+    Claims have the bindings of the variables in tags of ports.
+    """
+    tags: dict[str, list[str]] = {}
+    for stream in streams:
+        if not stream.state.ended:
+            tags.setdefault(stream.topic, []).append(stream.bound_tag)
+    found = {}
+    for nodelet, port in _ports_of_verdicts(nodelets):
+        formulas = [each.text for each in nodelet.parameters if each.name == "formula"]
+        words = tags.get(port.topic) or port.tags or formulas or [port.name]
+        formula = ", ".join(sorted(set(words)))
+        found[PortRef(nodelet.name, port.name)] = PortVerdict(formula, verdicts.get(port.topic))
+    return found
+
+
+def _ports_of_verdicts(
+    nodelets: Iterable[NodeletStatus],
+) -> Iterator[tuple[NodeletStatus, PortState]]:
+    for nodelet in nodelets:
+        for port in nodelet.ports:
+            if port.direction != IN and port.datatype == VERDICT and port.topic:
+                yield nodelet, port

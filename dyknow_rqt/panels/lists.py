@@ -1,22 +1,94 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The tab Library: the transformations."""
+"""The tabs Active and Library: the nodelets that run, and the transformations."""
 
 from __future__ import annotations
 
 from typing import Mapping
 
-from python_qt_binding.QtCore import Qt, Signal
+from python_qt_binding.QtCore import QPoint, Qt, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
+from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
-from dyknow_rqt.background_calls import qt_slot
 from dyknow_rqt.graph.changes import add_transformations, remove_transformations
+from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
+from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
+from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, row_of, text_of
+
+_TITLES = ("Nodelet", "Transformation", "In", "Out", "State", "Manager")
+
+
+class ActivePanel(Panel):
+    """Lists nodelets; destroys and protects them."""
+
+    #: A context menu of the selection is wanted, at this place on the screen.
+    menu_wanted = Signal(QPoint)
+
+    def __init__(
+        self, monitor: GraphMonitor, line: StatusLine, selection: Selection, edits: GraphEdits
+    ) -> None:
+        super().__init__(monitor, line)
+        self._selection, self._edits = selection, edits
+        self.table = KeyedTable(_TITLES, "Active nodelets")
+        self.table.setContextMenuPolicy(Qt.CustomContextMenu)
+        self.destroy = QPushButton("Des&troy …", clicked=self._destroy_chosen)
+        self.protect = QPushButton("&Protect", clicked=self._protect_chosen)
+        row = row_of(self.protect, self.destroy)
+        row.insertStretch(0, 1)
+        column_in(self, self.table.filter, self.table, row)
+        self.table.picked.connect(selection.choose_nodelets)
+        self.table.customContextMenuRequested.connect(self._want_menu)
+        selection.changed.connect(self._follow_selection)
+        monitor.changed.connect(self._show)
+        self.table.on_delete(self._destroy_chosen)
+        self._follow_selection()
+
+    def _destroy_chosen(self) -> None:
+        if self._selection.nodelets:
+            self._edits.ask_to_destroy(self._selection.nodelets)
+
+    def _protect_chosen(self) -> None:
+        self._edits.protect(*protection(self._selection.nodelets, self._monitor.snapshot))
+
+    def _want_menu(self, place: QPoint) -> None:
+        self.menu_wanted.emit(self.table.viewport().mapToGlobal(place))
+
+    def _show(self, snapshot: Snapshot) -> None:
+        rows = []
+        for nodelet in snapshot.nodelets:
+            inputs = sum(port.direction == IN for port in nodelet.ports)
+            words = [nodelet.state.name.lower()] if nodelet.state is not State.RUNNING else []
+            words += ["outdated"] if nodelet.outdated else []
+            words += ["protected"] if nodelet.is_protected else []
+            words += [] if nodelet.kind is NodeletKind.PYTHON else [nodelet.kind.title]
+            cells = (
+                nodelet.name,
+                nodelet.origin,
+                str(inputs),
+                str(len(nodelet.ports) - inputs),
+                ", ".join(words) or "running",
+                nodelet.manager or "(a process of its own)",
+            )
+            rows.append((cells, nodelet.detail))
+        self.table.show_rows(rows)
+        self._follow_selection()
+
+    def _follow_selection(self) -> None:
+        names = self._selection.nodelets
+        self.table.follow(names)
+        why_not = not_destroyed(names, self._monitor.snapshot)
+        self.destroy.setEnabled(bool(names) and not why_not)
+        self.destroy.setToolTip(why_not or "Delete")
+        self.protect.setEnabled(bool(names))
+        _, on = protection(names, self._monitor.snapshot)
+        self.protect.setText("&Protect" if on else "&Release")
+
 
 _FILES = "Specifications (*.xml);;All files (*)"
 
@@ -59,20 +131,17 @@ class LibraryPanel(Panel):
             file.write(as_specification(chosen))
         self._line.note(f"{len(chosen)} transformations written to {path}")
 
-    @qt_slot
     def _ask_what_to_import(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Import transformations", "", _FILES)
         if path:
             self.import_file(path)
 
-    @qt_slot
     def _ask_where_to_export(self) -> None:
         name = "transformations.xml"
         path, _ = QFileDialog.getSaveFileName(self, "Export transformations", name, _FILES)
         if path:
             self.export_file(path)
 
-    @qt_slot
     def _ask_to_delete(self) -> None:
         labels = self.table.chosen()
         if labels:
@@ -80,12 +149,10 @@ class LibraryPanel(Panel):
             question = f"{change.text[0].upper()}{change.text[1:]} from the library?"
             self._line.ask(question, "Delete", lambda: self._monitor.do(change))
 
-    @qt_slot
     def _want_create(self) -> None:
         for label in self.table.chosen()[:1]:
             self.create_wanted.emit(label)
 
-    @qt_slot
     def _show(self, library: Mapping[str, Transformation]) -> None:
         rows = []
         for label in sorted(library):
@@ -97,7 +164,6 @@ class LibraryPanel(Panel):
         self.table.show_rows(rows)
         self._follow_selection()
 
-    @qt_slot
     def _follow_selection(self) -> None:
         labels = self.table.chosen()
         library = self._monitor.library
