@@ -346,14 +346,6 @@ def test_late_messages_are_left_out_for_some_seconds_only():
     assert received == [2]
 
 
-def test_the_last_message_of_a_latched_topic_comes_again():
-    place, topics, received = parked()
-    for number in range(3):
-        place.send(number, kind=Latched)
-    finish(place, given_in(place, topics, [(100.0, n) for n in range(3)]))
-    assert received == [2]
-
-
 @pytest.mark.parametrize(("waits", "expected"), [(None, [3, 4]), (4, [4, 3]), (9, [9, 3, 4])])
 def test_the_last_message_of_each_latching_publisher_comes_again(waits, expected):
     place, topics, received = parked()
