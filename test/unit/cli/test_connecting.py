@@ -88,7 +88,6 @@ def test_a_port_that_is_connected_keeps_its_topic(pair):
     assert run(pair, "connect cam:image /raw --json").json["in"] is None
 
 
-
 def test_a_port_that_a_lazy_nodelet_declares_is_connected_before_it_subscribes(pair):
     image = "sensor_msgs/Image"
     pair.world.host.stock = False

@@ -212,7 +212,6 @@ def test_the_publishers_of_a_topic_on_which_messages_flow_have_more_time(
     assert asked == {"/t": seconds, "/plain": 0.25}
 
 
-
 def parked(size=None, clock=None):
     """A place where the nodelet is parked, without threads, its topics and its messages."""
     received = []
@@ -300,7 +299,6 @@ def test_an_equal_message_follows_one_that_came_before_the_nodelet_was_parked():
     assert received == [7, 7]
 
 
-
 def test_late_messages_are_left_out_for_some_seconds_only():
     clock = FakeClock()
     place, topics, received = parked(clock=clock)
@@ -342,7 +340,6 @@ def test_a_publisher_has_its_latch_and_headers_from_the_first_connection_on(monk
         monkeypatch.setattr(transport, "advertise", watched)
         new.moves.park(NAME, old.moves.note(NAME))
         assert made == {"/o": (False, {}), "/late": (True, options)}
-
 
 
 def test_a_move_that_is_given_up_leaves_nothing():

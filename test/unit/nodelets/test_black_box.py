@@ -98,7 +98,6 @@ def any_message(message):
     return found
 
 
-
 class Box:
     """A black box in the harness, with the topics that a master would list."""
 

@@ -102,7 +102,6 @@ def test_the_nodelet_finds_a_dim_pale_ball_only_by_what_was_learnt():
     assert any(find.centre == pytest.approx((200, 250), abs=2) for find in finds)
 
 
-
 def test_what_is_no_forest_is_named(tmp_path):
     file = tmp_path / "some.yml.gz"
     with pytest.raises(ValueError, match="no forest"):
