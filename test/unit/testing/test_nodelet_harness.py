@@ -49,7 +49,7 @@ class Ticking(dyknow.Nodelet):
         self.times = []
         self.nh = dyknow.NodeHandle(self.private_node_handle)
         self.pub = self.nh.Publisher("time", Int32, queue_size=1, latch=True)
-        self.pub.publish(0)
+        self.pub.publish(data=1)
         self.timer = self.nh.Timer(self.nh.Duration(0.1), self.on_timer)
 
     def on_timer(self, event):
@@ -303,7 +303,7 @@ class TestTime:
         harness.load(Ticking, ports={"time": "/time"})
         got = harness.listen("/time")
         harness.drain()
-        assert got == [Int32(0)]
+        assert got == [Int32(1)]
 
 
 class UnittestsHaveIt(NodeletTestCase):
