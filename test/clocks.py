@@ -42,6 +42,20 @@ def join(*threads: threading.Thread) -> None:
         assert not thread.is_alive(), "a thread has not ended"
 
 
+class Gate:
+    """Work that waits until it may go on; takes any arguments, as a callback."""
+
+    def __init__(self) -> None:
+        self.begun, self._go_on = threading.Event(), threading.Event()
+
+    def __call__(self, *_: object) -> None:
+        self.begun.set()
+        wait_for(self._go_on)
+
+    def open(self) -> None:
+        self._go_on.set()
+
+
 class HandClock(SimulatedClock):
     """A simulated clock that can be called for the time as well."""
 

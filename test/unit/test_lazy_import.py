@@ -17,12 +17,15 @@ import dyknow
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def printed(code: str) -> str:
+    """What Python prints when it runs some code."""
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
 def modules_after(statement: str) -> set[str]:
     code = f"import sys; {statement}; print(*sys.modules)"
-    printed = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True
-    ).stdout
-    return set(printed.split())
+    return set(printed(code).splitlines()[-1].split())
 
 
 def test_the_package_alone_loads_nothing() -> None:
@@ -33,6 +36,8 @@ def test_the_package_alone_loads_nothing() -> None:
 
 ROS = {"rospy", "roslib", "genpy", "rosgraph", "dyknow_msgs"}
 PARSERS = {"lxml", "rdflib", "urllib.request", "importlib.resources"}
+#: A command that others do without.
+SAVE_LOAD = "dyknow.cli.commands.save_load"
 #: What rospy imports, and ours is not to.
 LATE = {"numpy", "pyparsing"}
 
@@ -43,6 +48,11 @@ LATE = {"numpy", "pyparsing"}
         *((f"import dyknow; dyknow.{name}", ROS) for name in ("Nodelet", "NodeHandle")),
         ("import dyknow; dyknow.formulas.parse", ROS),
         ("from dyknow import ManagerClient", {"rospy"}),
+        ("import dyknow.cli.nodelet as cli; cli.main(['nodelet', '--help'])", {"rospy"}),
+        *(
+            (f"import dyknow.cli.main as cli; cli.main({words})", {*ROS, SAVE_LOAD})
+            for words in (["list", "--help"], ["check", "missing.xml"])
+        ),
         # Each of these costs every re-wirable script its time at the start.
         ("import dyknow.ros.nodelets.script_process", PARSERS),
         *(
@@ -77,13 +87,9 @@ print(*sorted({f"{kind.__module__}.{kind.__name__}" for kind in kinds if kind in
 
 
 def test_fields_of_floats_accept_what_genpy_accepts_with_numpy() -> None:
-    def accepted(statement: str) -> str:
-        command = [sys.executable, "-c", statement + ACCEPTED]
-        done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
-        return done.stdout
-
-    assert accepted("import dyknow.ros.lean") == accepted("")
-    assert "numpy.float32" in accepted("")
+    accepted = printed(ACCEPTED)
+    assert printed("import dyknow.ros.lean" + ACCEPTED) == accepted
+    assert "numpy.float32" in accepted
 
 
 CONDITIONS = """
@@ -101,9 +107,8 @@ print({each.name: each.evaluated_condition for each in package.exec_depends})
 
 
 def test_conditions_in_package_xml_are_evaluated_as_ever() -> None:
-    command = [sys.executable, "-c", "import dyknow.ros.lean, rospy" + CONDITIONS]
-    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
-    assert done.stdout == "{'rospy': True, 'rclpy': False, 'tf': True}\n"
+    found = printed("import dyknow.ros.lean, rospy" + CONDITIONS)
+    assert found == "{'rospy': True, 'rclpy': False, 'tf': True}\n"
 
 
 #: Runs a script up to its first connection; ends with 1 if a module of LATE is imported by then.

@@ -11,7 +11,7 @@ import threading
 from typing import Callable, Iterator, List, Optional
 
 import pytest
-from clocks import PATIENCE, HandClock, SteppedClock, join, wait_for
+from clocks import PATIENCE, Gate, HandClock, SteppedClock, join, wait_for
 
 from dyknow.errors import DyKnowError
 from dyknow.periodic import (
@@ -126,20 +126,6 @@ def test_a_key_that_waits_already_is_not_added_again(bench: Bench) -> None:
     bench.loop.once("a", lambda: done.append("again"))
     bench.advance(2.0)
     assert done == ["a", "again"]
-
-
-class Gate:
-    """Work that waits until it may go on."""
-
-    def __init__(self) -> None:
-        self.begun, self.go_on = threading.Event(), threading.Event()
-
-    def __call__(self) -> None:
-        self.begun.set()
-        wait_for(self.go_on)
-
-    def open(self) -> None:
-        self.go_on.set()
 
 
 @pytest.fixture

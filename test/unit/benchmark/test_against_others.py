@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
-from unit.formulas.random_formulas import random_formula
+from unit.formulas.random_formulas import State, random_formula, stepped
 
 from dyknow.formulas.compiler import Evaluator
 from dyknow.formulas.semantics import TRUE
@@ -30,14 +30,9 @@ def test_reelay_and_sentil_agree(seed: int) -> None:
     # For reelay [0, 0] has no bounds.
     formula = random_formula(dice, dice.randint(1, 4), past=True, shortest=1)
     likely = dice.choice([0.1, 0.5, 0.9])
-    states = [{port: dice.random() < likely for port in "pqr"} for _ in range(40)]
+    states: List[State] = [{port: dice.random() < likely for port in "pqr"} for _ in range(40)]
 
-    evaluator = Evaluator(formula, SECOND)
-    found = [
-        truth == TRUE
-        for state in states
-        for truth in evaluator.step(*[state[str(each)] for each in evaluator.inputs])
-    ]
+    found = [truth == TRUE for truth, _ in stepped(Evaluator(formula, SECOND), states)]
     text = written_for_others(formula, "{{{}}}", ":")
     monitor = reelay.discrete_timed_monitor(text, semantics="boolean", condense=False)
     assert found == [monitor.update(state)["value"] for state in states], text
@@ -45,10 +40,10 @@ def test_reelay_and_sentil_agree(seed: int) -> None:
     assert found == of_sentil(sentil.OnlineMonitor(text), states), text
 
 
-def of_sentil(monitor: Any, states: List[dict[str, bool]]) -> List[bool]:
+def of_sentil(monitor: Any, states: List[State]) -> List[bool]:
     verdicts = []
     for number, state in enumerate(states):
-        values = {port: float(value) for port, value in state.items()}
+        values = {port: float(bool(value)) for port, value in state.items()}
         verdicts.append(monitor.update(float(number), values))
     assert all(verdict.resolved for verdict in verdicts)
     return [bool(verdict.satisfied) for verdict in verdicts]

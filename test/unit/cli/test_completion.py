@@ -177,15 +177,11 @@ def path(tmp_path):
 
 
 @needs_bash
-def test_bash_offers_it(path):
+def test_bash_offers_it_and_is_silent_without_a_master(path):
+    assert bash("dyknow info ", path) == []
     assert bash("dyknow disc", path) == ["disconnect"]
     assert bash("rosrun dyknow dyknow disc", path, "_dyknow_rosrun") == ["disconnect"]
     assert bash("rosrun dyknow dyknow connect --t", path, "_dyknow_rosrun") == [
         "--timeout",
         "--topic",
     ]
-
-
-@needs_bash
-def test_it_is_silent_without_a_master(path):
-    assert bash("dyknow info ", path) == []

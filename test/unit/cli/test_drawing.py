@@ -11,8 +11,7 @@ import subprocess
 
 import pytest
 from clocks import PATIENCE
-from unit.cli.fake_client import FakeClient, Outcome, run
-from unit.manager.world import World
+from unit.cli.fake_client import Outcome, run
 
 from dyknow.cli.commands.graph import to_dot
 from dyknow.graphviz import CannotDraw, render
@@ -93,24 +92,18 @@ def test_graphviz_reads_what_was_meant_in_any_order():
 
 
 @needs_graphviz
-def test_files(tmp_path):
-    client = FakeClient(World())
-    client.world.spawn("camera", "cam", config={"image": "raw"})
-    assert run(client, f"graph --svg {tmp_path / 'g.svg'}").code == 0
-    assert b"<svg" in (tmp_path / "g.svg").read_bytes()
-    assert run(client, f"graph --png {tmp_path / 'g.png'}").code == 0
+def test_files_and_standard_output(chain, tmp_path, capfdbinary):
+    assert run(chain, f"graph --png {tmp_path / 'g.png'}").code == 0
     assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
+    assert run(chain, f"graph --svg {tmp_path / 'g.svg'}").code == 0
+    assert run(chain, "graph --svg -") == Outcome(0, "", "")
+    drawn = capfdbinary.readouterr().out
+    assert b"<svg" in drawn and drawn == (tmp_path / "g.svg").read_bytes()
 
 
-@needs_graphviz
-def test_standard_output(capfdbinary):
-    assert run(FakeClient(World()), "graph --svg -") == Outcome(0, "", "")
-    assert b"<svg" in capfdbinary.readouterr().out
-
-
-def test_without_graphviz_it_says_what_to_do(monkeypatch):
+def test_without_graphviz_it_says_what_to_do(client, monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
-    done = run(FakeClient(World()), "graph --svg x.svg")
+    done = run(client, "graph --svg x.svg")
     assert done.code == 1
     assert "install graphviz, or use --dot" in done.err
 

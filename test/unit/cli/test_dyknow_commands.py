@@ -195,23 +195,14 @@ def test_destroy_goes_on_after_a_refusal(chain):
     assert outcome.err.count("\n") == 2
 
 
-def test_a_manager_that_is_gone_ends_a_command_with_3(chain):
-    def fail(call, subject):
-        raise ManagerUnreachable("DyKnow manager '/dyknow_manager' is not running")
-
-    chain.fail = fail
-    outcome = run(chain, "destroy cam nobody")
-    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (3, "", 1)
-
-
-def test_what_was_done_before_the_manager_went_is_told(chain):
+def test_a_manager_that_goes_ends_a_command_with_3_and_what_was_done_before_is_told(chain):
     def fail(call, subject):
         if subject != "/robot/relay":
             raise ManagerUnreachable("DyKnow manager '/dyknow_manager' is not running")
 
     chain.fail = fail
     assert run(chain, "unprotect /robot/relay").code == 0
-    outcome = run(chain, "destroy /robot/relay cam")
+    outcome = run(chain, "destroy /robot/relay cam nobody")
     assert (outcome.code, outcome.out) == (3, "destroyed /robot/relay\n")
     assert outcome.err.count("\n") == 1
 

@@ -116,17 +116,27 @@ def test_ports_and_arguments_of_ros():
     assert arguments.source == PortRef("/robot/camera", "image/raw"), "before the last colon"
     assert arguments.target == PortRef("b", "~in")
     assert parse(["list", "__name:=x", "__log:=/tmp/x.log"]).command == "list"
-    words = ["spawn", "relay", "a", "_rate:=20", "--isolated", "_frame:=a=b", "__name:=x"]
-    assert parse(words).param == [Parameter("rate", "", "20"), Parameter("frame", "", "a=b")]
-    words = ["spawn", "relay", "a", "--param", "rate:=20", "frame=a:=b", "--param=size:=3"]
-    given = [("rate", "20"), ("frame", "a:=b"), ("size", "3")]
-    assert parse(words).param == [Parameter(name, "", value) for name, value in given]
-    words = ["spawn", "relay", "a", "--param", "rate=20", "_gain:=2", "--isolated", "_x:=y"]
-    given = [("rate", "20"), ("gain", "2"), ("x", "y")]
-    assert parse(words).param == [Parameter(name, "", value) for name, value in given]
-    words = ["probe", "--settle", "0.5", "pkg", "node", "/a", "_rate:=20", "--json"]
-    found = parse(words)
+    found = parse("probe --settle 0.5 pkg node /a _rate:=20 --json".split())
     assert (found.settle, found.words) == (0.5, ["/a", "_rate:=20", "--json"])
+
+
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        ("_rate:=20 --isolated _frame:=a=b __name:=x", {"rate": "20", "frame": "a=b"}),
+        (
+            "--param rate:=20 frame=a:=b --param=size:=3",
+            {"rate": "20", "frame": "a:=b", "size": "3"},
+        ),
+        (
+            "--param rate=20 _gain:=2 --isolated _x:=y",
+            {"rate": "20", "gain": "2", "x": "y"},
+        ),
+    ],
+)
+def test_parameters_of_a_spawn(words, given):
+    found = parse(["spawn", "relay", "a", *words.split()]).param
+    assert found == [Parameter(name, "", value) for name, value in given.items()]
 
 
 @pytest.mark.parametrize("value", ["-5", "-5e3", "-inf", "-foo", "a:=b", "_x:=y", "--json"])
@@ -149,9 +159,9 @@ def test_a_formula_may_have_what_looks_like_a_remapping():
     assert parse(["acquire", "Ball(x)", "--require", formula]).require == formula
 
 
-def test_durations_of_zero():
-    for text in ("0", "0.0", "0.00", "00", ".0", "0."):
-        assert parse(["acquire", "Ball(x)", "--lease", text]).lease == 0
+@pytest.mark.parametrize("text", ["0", "0.0", "0.00", "00", ".0", "0."])
+def test_durations_of_zero(text):
+    assert parse(["acquire", "Ball(x)", "--lease", text]).lease == 0
 
 
 def test_the_manager_comes_from_the_environment(monkeypatch, capsys):
@@ -220,23 +230,6 @@ def test_closed_input_is_empty():
     )
     assert done.returncode == 1
     assert done.stdout.startswith(b"standard input:1: no element found")
-
-
-def test_help_and_check_do_without_ros_and_other_commands():
-    script = (
-        "import sys; from dyknow.cli.main import main; main(['list', '--help']); "
-        "main(['check', 'missing.xml']); "
-        "others = ('rospy', 'genpy', 'dyknow_msgs', 'rosgraph', 'dyknow.cli.commands.save_load'); "
-        "print([m for m in others if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=True,
-    )
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_the_page_has_the_help_of_every_command():

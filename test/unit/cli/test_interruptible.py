@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -33,20 +34,18 @@ MODULES = [
     "dyknow.cli.rewirable",
     "dyknow.ros.nodelets.script_process",
 ]
-#: Runs a program up to its first import of a module of ours that does more than a package's
+#: Runs a module up to its first import of a module of ours that does more than a package's
 #: `__init__`, and ends with 0 if SIGINT would then end it.
 RUN = """
 import os, runpy, signal, sys
 
-runs, is_module, early = sys.argv[1], sys.argv[2] == "module", sys.argv[3:]
-
 class Look:
     def find_spec(self, name, path, target=None):
-        if name.startswith("dyknow") and name not in early:
+        if name.startswith("dyknow") and name not in sys.argv[2:]:
             os._exit(signal.getsignal(signal.SIGINT) is not signal.SIG_DFL)
 
 sys.meta_path.insert(0, Look())
-(runpy.run_module if is_module else runpy.run_path)(runs, run_name="__main__")
+runpy.run_module(sys.argv[1], run_name="__main__")
 os._exit(2)
 """
 #: Arguments with which a script does something.
@@ -76,31 +75,20 @@ os._exit(2)
 """
 
 
-def packages_of(module):
-    words = module.split(".")
-    return [".".join(words[:count]) for count in range(1, len(words) + 1)]
+@pytest.mark.parametrize("module", MODULES)
+def test_sigint_ends_a_module_before_it_imports_others(module):
+    packages = itertools.accumulate(module.split("."), "{}.{}".format)
+    early = ["dyknow", "dyknow.interruptible", f"{module}.__main__", *packages]
+    assert subprocess.run([sys.executable, "-c", RUN, module, *early]).returncode == 0
 
 
-@pytest.mark.parametrize("program", [*SCRIPTS, *MODULES])
-def test_sigint_ends_it_before_it_imports_modules(program):
-    is_module = program in MODULES
-    early = ["dyknow", "dyknow.interruptible", f"{program}.__main__"]
-    early += packages_of(program) if is_module else ["dyknow.cli", "dyknow_rqt", *PACKAGES]
-    runs = [program, "module"] if is_module else [str(ROOT / "scripts" / program), "path"]
-    assert subprocess.run([sys.executable, "-c", RUN, *runs, *early]).returncode == 0
-
-
-@pytest.mark.parametrize(
-    "words",
-    [[name, *ARGUMENTS.get(name, ())] for name in SCRIPTS],
-    ids=SCRIPTS,
-)
-def test_no_module_is_loaded_while_sigint_raises(words, tmp_path):
-    """From the first line of each program to its first effect."""
-    script = str(ROOT / "scripts" / words[0])
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_no_module_is_loaded_while_sigint_raises(script, tmp_path):
+    """From the first line of each script to its first effect."""
     folder = str(tmp_path)
     environment = {**os.environ, "ROS_MASTER_URI": "http://localhost:9", "TMPDIR": folder}
-    command = [sys.executable, "-c", LOAD, script, *words[1:]]
+    words = [str(ROOT / "scripts" / script), *ARGUMENTS.get(script, ())]
+    command = [sys.executable, "-c", LOAD, *words]
     done = subprocess.run(command, cwd=folder, env=environment, stderr=subprocess.PIPE)
     assert done.returncode == 0, done.stderr
 

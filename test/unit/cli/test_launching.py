@@ -336,13 +336,7 @@ def test_a_dry_run_lists_what_becomes_of_the_nodes(folder, capsys):
     assert nodes[2]["launch_prefix"].startswith("nice /bin/sh -c ")
 
 
-def test_standard_input_is_a_launch_file(capsys, monkeypatch):
-    monkeypatch.setattr("sys.stdin", io.StringIO(f"<launch>{RELAY.format(name='a')}</launch>"))
-    assert main(["launch", "-", "--dry-run"]) == 0
-    assert "/a    topic_tools/relay" in capsys.readouterr().out
-
-
-def test_standard_input_has_arguments_and_json_is_all_that_is_printed(capsys, monkeypatch):
+def test_standard_input_is_a_launch_file_and_json_is_all_that_is_printed(capsys, monkeypatch):
     text = f"<launch><arg name='size'/>{RELAY.format(name='a')}</launch>"
     words = ["launch", "-", "size:=5", "sixe:=5", "--dry-run", "--json"]
     monkeypatch.setattr("sys.stdin", io.StringIO(text))

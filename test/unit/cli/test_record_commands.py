@@ -15,7 +15,6 @@ from dyknow.errors import Refused
 from dyknow.nodelets.recording import KeptMessage, write_bag
 from dyknow.ros.shell.shell_client import ShellClient
 
-DETAIL = "its process is gone"
 ACTIVE, RECOVERING = StreamStatus.ACTIVE, StreamStatus.RECOVERING
 
 
@@ -27,11 +26,10 @@ def event(claim, before, after, reason, *nodelets):
 
 
 def model(**states):
+    details = {Nodelet.LOST: "its process is gone"}
     return Model(
         nodelets=[
-            Nodelet(
-                name=f"/{name}", state=state, detail="its process is gone" if state > 1 else ""
-            )
+            Nodelet(name=f"/{name}", state=state, detail=details.get(state, ""))
             for name, state in states.items()
         ]
     )

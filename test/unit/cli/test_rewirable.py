@@ -14,7 +14,7 @@ import sys
 import pytest
 
 from dyknow.cli.main import parse
-from dyknow.cli.rewirable import LIBRARY, CannotRun, become, find_library, obstacle
+from dyknow.cli.rewirable import LIBRARY, CannotRun, become, find_library
 
 SHOW = "import os, sys; print(os.environ.get('LD_PRELOAD'), sys.argv[1:]); sys.exit(7)"
 
@@ -58,21 +58,6 @@ def test_a_folder_with_a_space(tmp_path):
     maps = ["grep", "-c", LIBRARY, "/proc/self/maps"]
     answer = run("sh", "-c", 'exec "$@"', "sh", *maps, tmp_path=folder)
     assert re.fullmatch(r"0 [1-9]\d*\n", answer)
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("#!/bin/sh /usr/bin/python2\nexit 7", "it is a script for another Python"),
-        ("hello", "it is no program for this machine"),
-        ("#!/bin/sh\n", ""),
-    ],
-)
-def test_programs_that_cannot_be_made_rewirable(tmp_path, text, why):
-    program = tmp_path / "program"
-    program.write_text(text)
-    assert obstacle(str(program)) == why
-    assert obstacle(sys.executable) == ""
 
 
 def test_without_the_library_a_program_runs_as_it_is(tmp_path):

@@ -34,9 +34,9 @@ def spawn_chain(client):
     client.world.spawn("native", "n", config={"image": "/raw", "~out": "small"}, isolated=True)
 
 
-@pytest.fixture(name="file")
+@pytest.fixture(name="file", autouse=True)
 def _file(tmp_path, monkeypatch):
-    """A saved chain, w.xml: camera, relay, and a C++ nodelet; its folder is the present one."""
+    """A saved chain, w.xml in the present folder: camera, relay, and a C++ nodelet."""
     monkeypatch.chdir(tmp_path)
     client = FakeClient(World())
     spawn_chain(client)
@@ -159,7 +159,6 @@ def test_what_runs_is_brought_to_what_the_file_says(client, file):
     assert client.get_graph().nodelet("/other") is not None
 
 
-@pytest.mark.usefixtures("file")
 def test_a_nodelet_that_was_isolated_since_it_crashed_is_kept(client):
     assert run(client, "load w.xml").code == 0
     records = client.world.manager.graph
@@ -273,7 +272,6 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_again(client, file):
     assert run(client, "load w.xml --replace --json").json["nodelets"]["replaced"] == []
 
 
-@pytest.mark.usefixtures("file")
 def test_a_parameter_that_is_not_a_number_is_that_of_the_file(client):
     text = client.world.manager.library.get("camera").to_xml()
     client.world.manager.add_transformation(text.replace(">30<", ">nan<"))
@@ -289,7 +287,6 @@ def test_a_parameter_that_is_not_a_number_is_that_of_the_file(client):
         (("set_protection", "/robot/relay"), "protecting '/robot/relay'"),
     ],
 )
-@pytest.mark.usefixtures("file")
 def test_a_step_that_is_refused_undoes_those_before(client, call, step):
     give_the_library_another_camera(client)
     client.world.host.machine = "desk"
@@ -310,7 +307,6 @@ def test_a_step_that_is_refused_undoes_those_before(client, call, step):
 
 @pytest.mark.parametrize("was_done", [True, False])
 @pytest.mark.parametrize("error", [ManagerUnreachable("no answer"), KeyboardInterrupt()])
-@pytest.mark.usefixtures("file")
 def test_a_step_without_an_answer_or_with_ctrl_c_is_undone_too(client, error, was_done):
     def fail(call, subject):
         if (call, subject) == ("spawn", "/cam"):
@@ -330,14 +326,12 @@ def test_a_step_without_an_answer_or_with_ctrl_c_is_undone_too(client, error, wa
     assert graph(client) == []
 
 
-@pytest.mark.usefixtures("file")
 def test_what_cannot_be_undone_is_told(client):
     client.fail = failing(("spawn", "/cam"), ("destroy", ""))
     error = run(client, "load w.xml").err
     assert "spawning '/cam': no; spawning '/robot/relay' could not be taken back: no" in error
 
 
-@pytest.mark.usefixtures("file")
 def test_keep_going_keeps_what_was_done(client):
     client.fail = failing(("", "/n"))
     outcome = run(client, "load w.xml --keep-going --json")
@@ -347,7 +341,6 @@ def test_keep_going_keeps_what_was_done(client):
     assert [each[0] for each in graph(client)] == ["/cam", "/robot/relay"]
 
 
-@pytest.mark.usefixtures("file")
 def test_ports_that_are_not_declared_are_connected_after_the_spawn(client):
     client.world.manager.add_transformation(
         "<transformation><label>bare</label><source>pkg/Relay</source></transformation>"
@@ -392,7 +385,6 @@ def test_relays_of_shared_streams_are_saved(client, file):
     assert file.with_name("again.xml").read_text() == file.read_text()
 
 
-@pytest.mark.usefixtures("file")
 def test_files_that_cannot_be_used(client):
     play(
         client,
@@ -424,7 +416,6 @@ def test_readers_come_before_writers_also_in_long_chains_and_rings():
 
 
 @pytest.mark.parametrize("is_lazy", [False, True])
-@pytest.mark.usefixtures("file")
 def test_undeclared_ports_of_a_cpp_nodelet_stay_unless_the_file_moves_them(client, is_lazy):
     host = client.world.host
     host.stock = False
@@ -453,7 +444,6 @@ NODES = """<transformations>
 </transformations>"""
 
 
-@pytest.mark.usefixtures("file")
 def test_nodes_are_saved_with_their_parameters_and_those_of_others_are_connected(client):
     source, other = "topic_tools/relay words copy", FakeClient(World())
     for each in (client, other):
@@ -535,7 +525,6 @@ def test_a_wait_has_a_limit_and_names_what_is_missing(file):
     assert (done.code, done.err) == (1, "dyknow: nodelet '/cam' is failed: no device\n")
 
 
-@pytest.mark.usefixtures("file")
 def test_a_wait_that_loads_nothing_takes_the_transformations_of_the_library(client):
     give_the_library_another_camera(client)
     spawn_chain(client)

@@ -36,11 +36,8 @@ def test_padded_rows_are_cut_off_without_a_copy(encoding, channels):
     assert np.shares_memory(pixels, np.frombuffer(image.data, np.uint8))
 
 
-def test_an_unknown_encoding_is_refused():
+def test_an_unknown_encoding_and_data_that_do_not_fill_the_image_are_refused():
     with pytest.raises(ValueError, match="encoding 'bayer_rggb8': expected one of 8UC1"):
         images.array_of(Image(encoding="bayer_rggb8"))
-
-
-def test_data_that_do_not_fill_the_image_are_refused():
     with pytest.raises(ValueError, match="buffer"):
         images.array_of(Image(Header(), 4, 6, "bgr8", 0, 18, b"short"))

@@ -19,7 +19,6 @@ URI = "http://dyknow.example.org/workshop#"
 
 def test_expressions_imports_and_labels():
     found = Ontology([str(WORKSHOP)])
-
     assert found.warnings == ()
     assert found.individuals(URI + "RobotCamera") == ("gripper camera",)
     assert found.individuals(URI + "Observer") == ("ceiling camera", "gripper camera")
@@ -29,12 +28,8 @@ def test_expressions_imports_and_labels():
     assert "RobotCamera" not in found.names_above("Camera")
     assert found.canonical("Greiferkamera") == found.canonical("gripper camera")
     assert found.canonical("gripper camera") == URI + "gripper_camera"
-
-
-def test_labels_in_another_language():
-    found = Ontology([str(WORKSHOP)], language="de")
-
-    assert found.individuals(URI + "Observer") == ("Deckenkamera", "Greiferkamera")
+    german = Ontology([str(WORKSHOP)], language="de")
+    assert german.individuals(URI + "Observer") == ("Deckenkamera", "Greiferkamera")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import random
-from typing import Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, Trace, truth
 from dyknow.formulas.tree import (
@@ -90,6 +90,15 @@ class Listed(Trace):
 
     def individuals(self, formula: Quantified, state: int) -> Iterable[Tuple[Trace, int]]:
         return self._individuals[state]
+
+
+def stepped(evaluator: Any, states: Sequence[State]) -> List[Tuple[int, int]]:
+    """For each decided state, in order: its truth, and the state that decides it."""
+    return [
+        (value, number)
+        for number, state in enumerate(states)
+        for value in evaluator.step(*(state[str(each)] for each in evaluator.inputs))
+    ]
 
 
 def decisions(formula: Node, states: Sequence[State]) -> List[Tuple[int, int]]:

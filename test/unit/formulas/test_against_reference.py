@@ -19,6 +19,7 @@ from unit.formulas.random_formulas import (
     decisions,
     random_formula,
     random_states,
+    stepped,
 )
 
 import dyknow.formulas
@@ -31,15 +32,6 @@ from dyknow.formulas.tree import SECOND, Node, Quantified, outermost, ports
 
 seeds = st.integers(0, 2**40)
 VERDICTS = {FALSE: 0, TRUE: 1, UNKNOWN: 2}
-
-
-def stepped(evaluator: Any, states: List[State]) -> List[Tuple[int, int]]:
-    """For each decided state, in order: its truth, and the state that decides it."""
-    return [
-        (value, number)
-        for number, state in enumerate(states)
-        for value in evaluator.step(*(state[str(each)] for each in evaluator.inputs))
-    ]
 
 
 def completed(evaluator: Any, states: List[State]) -> List[int]:

@@ -144,8 +144,9 @@ def test_no_atom_is_named_that_did_not_decide(
     assert run in explained(formula, values)
 
 
-def test_exact_names_the_unknown_atoms() -> None:
+def test_exact_decides_more_and_names_the_unknown_atoms() -> None:
     formula = "a.x > 0 or not a.x > 0"
+    assert explained(formula, [(None, 0)]) == ["0.000 UNKNOWN  a.x = unknown at 0"]
     assert explained(formula, [(None, 0)], exact=True) == ["0.000 TRUE  a.x = unknown at 0"]
 
 
@@ -496,17 +497,6 @@ def test_a_first_state_sees_what_was_latched_before(
     verdicts += monitor.feed("a", message(40.0, x=1), 100.03, "left") + monitor.advance(101.0)
     verdicts += monitor.feed("a", message(41.0, x=0), 101.0, "left") + monitor.advance(102.0)
     assert runs(verdicts)[-1].endswith(f" {why}") and monitor.late == 1
-
-
-def test_exact_reasoning_decides_more() -> None:
-    found = {}
-    for exact in (False, True):
-        monitor = parse("a.x > 0 or not (a.x > 0)").monitor(1.0, hold=0.5, exact=exact)
-        found[exact] = [
-            each.value for each in (*monitor.feed("a", message(x=1), 0.0), *monitor.advance(3.5))
-        ]
-    assert found[False] == [Truth.TRUE] + [Truth.UNKNOWN] * 3
-    assert found[True] == [Truth.TRUE] * 4
 
 
 @pytest.mark.parametrize(

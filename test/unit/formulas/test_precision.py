@@ -81,11 +81,8 @@ def test_the_digits_of_a_number_stand_for_it(value):
     assert c_float(float(str(Single(value)))).value == value
 
 
-def test_an_array_has_its_length_and_numbers():
+def test_an_array_has_its_numbers_and_a_message_without_such_fields_is_read_as_it_is():
     assert list(narrowed(BATTERY).cell_voltage) == [3.7, 0.1]
-
-
-def test_a_message_without_such_fields_is_read_as_it_is():
     message = Float64(0.2)
     assert narrowed(message) is message
 

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+from typing import Iterator
+
 import pytest
-from clocks import PATIENCE
+from clocks import PATIENCE, Gate
 from unit.nodelet.fakes import World
 
 from dyknow.nodelet import loader
@@ -21,3 +23,10 @@ def patient_loader(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def world() -> World:
     return World()
+
+
+@pytest.fixture
+def gate() -> Iterator[Gate]:
+    made = Gate()
+    yield made
+    made.open()

@@ -91,11 +91,8 @@ class World:
         self.executor: Any = executor or ManualExecutor(clock)
         self.transport = RecordingTransport()
         middleware = LocalMiddleware(self.transport)
-        self.services, self.ticker, self.node = (
-            middleware.services,
-            middleware.ticker,
-            middleware.node,
-        )
+        self.services, self.node = middleware.services, middleware.node
+        self.ticker = middleware.ticker
         self.runtime = Runtime(middleware, self.executor, **options)
         self.bus = self.runtime.bus
 

@@ -212,31 +212,6 @@ def test_the_publishers_of_a_topic_on_which_messages_flow_have_more_time(
     assert asked == {"/t": seconds, "/plain": 0.25}
 
 
-def test_the_ends_and_the_places_of_a_move():
-    received = []
-    with places(FakeClock(), received) as (old, new):
-        topics = old.moves.note(NAME)
-        assert sorted((each.topic, each.direction) for each in topics) == [
-            ("/o", "out"),
-            ("/plain", "in"),
-            ("/t", "in"),
-        ]
-        new.moves.park(NAME, topics)
-        assert new.world.registrations == old.world.registrations
-        old.send(1)
-        new.send(1)
-        new.send(2, "/plain")
-        new.moves.take(NAME, old.moves.give(NAME))
-        assert old.loader.list() == []
-        new.load()
-        new.moves.end(NAME)
-        new.world.drain()
-        assert received == [1, 2]
-        assert len(new.world.registrations) == 3
-        new.loader.unload(NAME)
-        assert new.world.registrations == []
-
-
 def parked(size=None, clock=None):
     """A place where the nodelet is parked, without threads, its topics and its messages."""
     received = []
@@ -324,16 +299,6 @@ def test_an_equal_message_follows_one_that_came_before_the_nodelet_was_parked():
     assert received == [7, 7]
 
 
-def test_a_latched_message_that_waits_in_the_other_process_comes_once():
-    clock = FakeClock()
-    place, topics, received = parked(clock=clock)
-    place.send(1, kind=Latched)
-    content = place.world.transport.pack(Message(1))
-    given = given_in(place, topics, [(clock() - 1.0, 1)])
-    finish(place, [replace(e, waiting=(content,)) if e.topic == "/t" else e for e in given])
-    assert received == [1]
-
-
 def test_late_messages_are_left_out_for_some_seconds_only():
     clock = FakeClock()
     place, topics, received = parked(clock=clock)
@@ -343,14 +308,6 @@ def test_late_messages_are_left_out_for_some_seconds_only():
     clock.seconds += 0.1
     place.send(2)
     place.world.drain()
-    assert received == [2]
-
-
-def test_the_last_message_of_a_latched_topic_comes_again():
-    place, topics, received = parked()
-    for number in range(3):
-        place.send(number, kind=Latched)
-    finish(place, given_in(place, topics, [(100.0, n) for n in range(3)]))
     assert received == [2]
 
 
@@ -383,17 +340,6 @@ def test_a_publisher_has_its_latch_and_headers_from_the_first_connection_on(monk
         monkeypatch.setattr(transport, "advertise", watched)
         new.moves.park(NAME, old.moves.note(NAME))
         assert made == {"/o": (False, {}), "/late": (True, options)}
-
-
-def test_messages_of_this_process_are_kept_too():
-    place, topics, received = parked()
-    publisher = place.world.publisher("/t")
-    for number in range(3):
-        publisher.publish(number)
-    finish(place, given_in(place, topics, [(100.0, 0)]))
-    publisher.publish(3)
-    place.world.drain()
-    assert received == [1, 2, 3]
 
 
 def test_a_move_that_is_given_up_leaves_nothing():

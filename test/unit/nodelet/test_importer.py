@@ -154,28 +154,21 @@ def test_the_path_is_the_owners(folder: Folder, tmp_path: Path) -> None:
 
 
 def test_dataclasses_whose_annotations_are_texts(folder: Folder) -> None:
-    path = folder(
-        sib_eight="from __future__ import annotations\nfrom dataclasses import dataclass, field\n"
-        "@dataclass(order=True)\nclass Pair:\n  left: int\n  right: int = field(default=2)\n"
-    )
-    pair = run(script_importer(path), "import sib_eight")["sib_eight"].Pair
-    assert pair(1) == pair(1, 2) and pair(0) < pair(1)
-    assert "sib_eight" not in sys.modules
-
-
-def test_dataclasses_of_a_script_whose_annotations_are_texts(folder: Folder) -> None:
-    """The process has another module of its name, ``__main__``."""
+    """The process has another module of the script's name, ``__main__``."""
     before = sys.modules["__main__"]
+    header = "from __future__ import annotations\nfrom dataclasses import InitVar, dataclass\n"
+    path = folder(sib_eight=f"{header}@dataclass(order=True)\nclass Number:\n  value: int\n")
     found = run(
-        script_importer(folder()),
-        "from __future__ import annotations\nfrom dataclasses import InitVar, dataclass\n"
-        "from typing import ClassVar\n"
+        script_importer(path),
+        f"{header}from typing import ClassVar\nfrom sib_eight import Number\n"
         "@dataclass\nclass Made:\n  number: ClassVar[int] = 7\n  given: InitVar[int]\n"
         "  twice: int = 0\n  def __post_init__(self, given):\n    self.twice = 2 * given\n",
     )
     made = found["Made"](5)
     assert (made.twice, made.number, vars(made)) == (10, 7, {"twice": 10})
     assert found["Made"].__module__ == "__main__" and sys.modules["__main__"] is before
+    assert found["Number"](0) < found["Number"](1)
+    assert not any("sib_eight" in name for name in sys.modules)
 
 
 def test_what_a_submodule_lacks_is_named(folder: Folder) -> None:

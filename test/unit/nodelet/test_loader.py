@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import suppress
 from typing import Any
 from unittest import mock
@@ -29,26 +28,17 @@ from dyknow.nodelet.loader import Loader
 world = pool_world(3)
 
 
-class Gate(Nodelet):
-    """A nodelet whose ``on_init`` waits; one gate for each test."""
+@pytest.fixture(name="slow")
+def _slow(gate):
+    """A nodelet whose ``on_init`` waits at the gate."""
 
-    entered: threading.Event
-    opened: threading.Event
+    class Slow(Nodelet):
+        def on_init(self):
+            self.pub = self.node_handle.Publisher("early", Message)
+            gate()
+            self.late = self.node_handle.Publisher("late", Message)
 
-    def on_init(self):
-        self.pub = self.node_handle.Publisher("early", Message)
-        self.entered.set()
-        self.opened.wait()
-        self.late = self.node_handle.Publisher("late", Message)
-
-
-@pytest.fixture(name="gate")
-def _gate():
-    class FreshGate(Gate):
-        entered, opened = threading.Event(), threading.Event()
-
-    yield FreshGate
-    FreshGate.opened.set()
+    return Slow
 
 
 def load_in_thread(loader, *args):
@@ -82,10 +72,10 @@ def test_a_loaded_nodelet_has_its_name_arguments_and_callbacks(world):
 
 
 @pytest.mark.parametrize("concurrent", [False, True])
-def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurrent):
+def test_what_comes_during_on_init_is_called_back_after_it(world, slow, gate, concurrent):
     got = []
 
-    class Late(gate):  # type: ignore[valid-type]
+    class Late(slow):  # type: ignore[valid-type]
         def on_init(self):
             handle = self.mt_node_handle if concurrent else self.node_handle
             handle.Subscriber("in", Message, got.append)
@@ -95,7 +85,7 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
 
     loader = world.loader(late=Late)
     thread, _ = load_in_thread(loader, "/late", "late")
-    wait_for(gate.entered)
+    wait_for(gate.begun)
     message = Message()
     world.handle().Publisher("/in", Message).publish(message)
     world.ticker.advance(1.0)
@@ -105,7 +95,7 @@ def test_what_comes_during_on_init_is_called_back_after_it(world, gate, concurre
     for strand in others:
         strand.post(lambda: None)
     eventually(lambda: not any(strand.busy for strand in others))
-    gate.opened.set()
+    gate.open()
     join(thread)
     eventually(lambda: len(got) == 3)
     assert got[0] == "on_init has returned"
@@ -126,18 +116,14 @@ def test_nodelets_are_listed_by_name_and_closed_from_the_newest(world):
     assert loader.list() == []
 
 
-def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, monkeypatch):
-    entered, opened = threading.Event(), threading.Event()
+def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, gate, monkeypatch):
+    class Leaving(Idle):
+        on_shutdown = gate.__call__
 
-    class Slow(Idle):
-        def on_shutdown(self):
-            entered.set()
-            wait_for(opened)
-
-    loader = world.loader(slow=Slow, idle=Idle)
-    loader.load("/n", "slow")
+    loader = world.loader(leaving=Leaving, idle=Idle)
+    loader.load("/n", "leaving")
     unloading = in_thread(lambda: loader.unload("/n"))
-    wait_for(entered)
+    wait_for(gate.begun)
     with pytest.raises(UnknownNodelet):
         loader.unload("/n")
     monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", 0.05)
@@ -146,7 +132,7 @@ def test_a_name_that_is_being_unloaded_is_waited_for_a_while(world, monkeypatch)
     monkeypatch.setattr(loader_module, "_UNLOAD_PATIENCE", PATIENCE)
     loading, outcome = load_in_thread(loader, "/n", "idle")
     assert not outcome
-    opened.set()
+    gate.open()
     join(unloading, loading)
     assert type(outcome[0]) is Idle
 
@@ -207,10 +193,12 @@ class TestFailure:
 
 
 class TestSlowStart:
-    def test_takes_its_name_and_blocks_neither_list_nor_other_loads_and_unloads(self, world, gate):
-        loader = world.loader(gate=gate, idle=Idle)
-        thread, outcome = load_in_thread(loader, "/slow", "gate")
-        wait_for(gate.entered)
+    def test_takes_its_name_and_blocks_neither_list_nor_other_loads_and_unloads(
+        self, world, slow, gate
+    ):
+        loader = world.loader(slow=slow, idle=Idle)
+        thread, outcome = load_in_thread(loader, "/slow", "slow")
+        wait_for(gate.begun)
         assert loader.list() == []
         loader.load("/other", "idle")
         assert loader.list() == ["/other"]
@@ -220,7 +208,7 @@ class TestSlowStart:
         with pytest.raises(NameTaken, match="'/slow' is being loaded"):
             loader.load("/slow", "idle")
         assert outcome == []
-        gate.opened.set()
+        gate.open()
         join(thread)
         assert loader.list() == ["/slow"]
         with pytest.raises(NameTaken, match="'/slow' is already loaded"):
@@ -228,17 +216,17 @@ class TestSlowStart:
         assert loader.get("/slow") is outcome[0]
         assert not outcome[0].context.closed
 
-    def test_can_be_unloaded_in_the_middle(self, world, gate):
-        loader = world.loader(gate=gate)
-        thread, outcome = load_in_thread(loader, "/slow", "gate")
-        wait_for(gate.entered)
+    def test_can_be_unloaded_in_the_middle(self, world, slow, gate):
+        loader = world.loader(slow=slow)
+        thread, outcome = load_in_thread(loader, "/slow", "slow")
+        wait_for(gate.begun)
         assert world.registrations == [("publisher", "/early")]
         loader.unload("/slow")
         assert world.registrations == []
         join(thread)
         assert isinstance(outcome[0], UnloadedMeanwhile)
-        again, _ = load_in_thread(loader, "/slow", "gate")
-        gate.opened.set()
+        again, _ = load_in_thread(loader, "/slow", "slow")
+        gate.open()
         join(again)
         assert loader.list() == ["/slow"]
         eventually(
@@ -246,8 +234,8 @@ class TestSlowStart:
         )
 
     @pytest.mark.parametrize("fails", [False, True])
-    def test_unloaded_while_its_class_is_imported_is_never_started(self, world, fails):
-        entered, opened, started = threading.Event(), threading.Event(), []
+    def test_unloaded_while_its_class_is_imported_is_never_started(self, world, gate, fails):
+        started = []
 
         class Started(Nodelet):
             def on_init(self):
@@ -256,18 +244,17 @@ class TestSlowStart:
         def find(name, _):
             if name == "idle":
                 return Idle
-            entered.set()
-            wait_for(opened)
+            gate()
             if fails:
                 raise BrokenPlugin("slow", "does not import")
             return Started
 
         loader = Loader(world.runtime, find)
         thread, outcome = load_in_thread(loader, "/n", "started")
-        wait_for(entered)
+        wait_for(gate.begun)
         loader.unload("/n")
         successor = loader.load("/n", "idle")
-        opened.set()
+        gate.open()
         join(thread)
         assert isinstance(outcome[0], BrokenPlugin if fails else UnloadedMeanwhile)
         assert loader.get("/n") is successor

@@ -44,6 +44,10 @@ number = 5
 """
 
 
+#: Importers alone ask for the context of a nodelet.
+NO_CONTEXT: Any = None
+
+
 class Packages:
     """Packages in a folder, with modules of unique names."""
 
@@ -74,7 +78,7 @@ class Packages:
 
     def load(self, name):
         """Import the class that is declared under a name."""
-        return ClassImports().load(self.plugins.find(name), None)  # type: ignore[arg-type]
+        return ClassImports().load(self.plugins.find(name), NO_CONTEXT)
 
 
 @pytest.fixture(autouse=True)
@@ -246,6 +250,12 @@ class Teller(dyknow.Nodelet):
 """
 
 
+def load_teller(imports: ClassImports, folder: Path, module: str) -> Any:
+    """Import the class ``Teller`` of a module in a folder of plug-ins."""
+    declared = PluginClass("p/Teller", f"{module}.Teller", "", folder, folder / "p.xml")
+    return imports.load(declared, NO_CONTEXT)
+
+
 class Written:
     """A package of nodelets in a folder of plug-ins."""
 
@@ -265,10 +275,7 @@ class Written:
         os.utime(file, (1e9 + self._seconds, 1e9 + self._seconds))
 
     def load(self, imports: ClassImports) -> Any:
-        type_name = f"{self.name}.nodelets.Teller"
-        file = self.folder / "p.xml"
-        declared = PluginClass(f"{self.name}/Teller", type_name, "", self.folder, file)
-        return imports.load(declared, None)  # type: ignore[arg-type]
+        return load_teller(imports, self.folder, f"{self.name}.nodelets")
 
 
 @pytest.fixture
@@ -363,11 +370,8 @@ def test_modules_of_one_name_are_those_of_each_folder(tmp_path: Path) -> None:
     """Also in packages beside them, which change with them."""
     imports = ClassImports()
 
-    def load(name: str) -> Any:
-        declared = PluginClass(
-            f"{name}/Teller", f"{name}_nodelets.Teller", "", tmp_path / name, tmp_path / "p.xml"
-        )
-        return imports.load(declared, None).said  # type: ignore[arg-type, attr-defined]
+    def said(name: str) -> Any:
+        return load_teller(imports, tmp_path / name, f"{name}_nodelets").said
 
     for name in ("one_a", "one_b"):
         (tmp_path / name / "parts").mkdir(parents=True)
@@ -378,10 +382,10 @@ def test_modules_of_one_name_are_those_of_each_folder(tmp_path: Path) -> None:
         (tmp_path / name / "common.py").write_text(f"word = '{name}'")
         (tmp_path / name / "parts" / "__init__.py").write_text("")
         (tmp_path / name / "parts" / "words.py").write_text(f"word = '{name}'")
-        assert load(name) == (name, name)
+        assert said(name) == (name, name)
     for name in ("one_a", "one_b"):
         (tmp_path / name / "parts" / "words.py").write_text(f"word = 'changed {name}'")
-        assert load(name) == (name, f"changed {name}")
+        assert said(name) == (name, f"changed {name}")
 
 
 #: The relay that catkin puts into a devel space, in short.
@@ -453,5 +457,5 @@ def test_versions_of_the_same_second_are_distinguished(packages, monkeypatch, si
     for number in range(3, 7):  # all of the same size
         file.write_text(MODULE.replace("number = 5", f"number = {number}"))
         os.utime(file, ns=(0, second * 1_000_000_000 + number))
-        found = imports.load(declared, None)  # type: ignore[arg-type]
+        found = imports.load(declared, NO_CONTEXT)
         assert found.on_init.__globals__["number"] == number

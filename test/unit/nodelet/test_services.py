@@ -90,18 +90,12 @@ def test_a_call_during_on_init_is_answered_after_it(world):
 
 
 @pytest.mark.parametrize("concurrent", [False, True])
-def test_an_unload_ends_the_waits_of_callers(world, concurrent):
+def test_an_unload_ends_the_waits_of_callers(world, gate, concurrent):
     nh = world.handle("/going", concurrent)
-    started, release = threading.Event(), threading.Event()
-
-    def hang(request):
-        started.set()
-        wait_for(release)
-
-    nh.Service("s", object, hang)
+    nh.Service("s", object, gate)
     handler = world.services.handlers["/s"]
     callers = [Caller(world, "/s")]
-    wait_for(started)
+    wait_for(gate.begun)
     callers += [Caller(world, "/s") for _ in range(3)]
     nh.context.stop()
     callers.append(Caller(world, "/s"))  # while on_shutdown runs: the strand is dead
@@ -113,7 +107,6 @@ def test_an_unload_ends_the_waits_of_callers(world, concurrent):
         if not isinstance(outcome, KeyError):  # it came after the service was withdrawn
             assert isinstance(outcome, DyKnowError)
             assert "/going was unloaded" in str(outcome)
-    release.set()
 
 
 @pytest.mark.parametrize("concurrent", [False, True])
@@ -129,19 +122,12 @@ def test_a_handler_that_ends_its_nodelet_or_service_still_answers(world, concurr
     assert Caller(world, "/s").outcome() == "bye"
 
 
-def test_a_shutdown_of_a_service_ends_the_waits_of_callers(world):
-    started, release = threading.Event(), threading.Event()
-
-    def hang(request):
-        started.set()
-        wait_for(release)
-
-    service = world.handle("/staying").Service("s", object, hang)
+def test_a_shutdown_of_a_service_ends_the_waits_of_callers(world, gate):
+    service = world.handle("/staying").Service("s", object, gate)
     caller = Caller(world, "/s")
-    wait_for(started)
+    wait_for(gate.begun)
     service.shutdown()
     assert str(caller.outcome()) == "service '/s': it was shut down"
-    release.set()
 
 
 def test_calls_of_a_concurrent_handle_overlap(world):

@@ -10,7 +10,7 @@ import threading
 from typing import Iterator, List
 
 import pytest
-from clocks import eventually, in_thread, join, wait_for
+from clocks import Gate, eventually, in_thread, join, wait_for
 from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 
 import dyknow
@@ -139,21 +139,19 @@ def test_a_callback_that_overlaps_with_others_outlives_its_strand(
     loader.close()
 
 
-def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(world: World) -> None:
-    entered, opened = threading.Event(), threading.Event()
-
+def test_an_on_init_that_outlives_its_nodelet_is_named_until_it_ends(
+    world: World, gate: Gate
+) -> None:
     class Slow(Nodelet):
-        def on_init(self):
-            entered.set()
-            wait_for(opened)
+        on_init = gate.__call__
 
     loader = world.loader(slow=Slow)
     thread = in_thread(lambda: pytest.raises(UnloadedMeanwhile, loader.load, "/slow", "slow"))
-    wait_for(entered)
+    wait_for(gate.begun)
     loader.unload("/slow")
     join(thread)
     assert list(loader.leftovers.running()) == ["/slow"]
-    opened.set()
+    gate.open()
     eventually(lambda: not loader.leftovers.running())
     loader.close()
 

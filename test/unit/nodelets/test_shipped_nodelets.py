@@ -113,23 +113,19 @@ def test_throttle_passes_what_is_slower_and_begins_again(nodelet_harness, moment
     assert throttled(nodelet_harness, moments, rate=1.0) == kept
 
 
-def test_sink_logs_rate_and_latency(nodelet_harness):
-    nodelet_harness.load(Sink, ports=IN, parameters={"period": 2.0})
-    nodelet_harness.publish("/in", Header())
-    nodelet_harness.advance(0.5)
-    nodelet_harness.publish("/in", Header())
-    nodelet_harness.advance(3.5)
+@pytest.mark.parametrize(
+    ("parameters", "message", "latency"),
+    [
+        ({}, Header(), ", latency 250.000 ms on average, 500.000 ms at most"),
+        ({"datatype": "std_msgs/String"}, String("it has no stamp"), ""),
+    ],
+)
+def test_sink_logs_rate_and_latency(nodelet_harness, parameters, message, latency):
+    nodelet_harness.load(Sink, ports=IN, parameters={"period": 2.0, **parameters})
+    for seconds in (0.5, 3.5):
+        nodelet_harness.publish("/in", message)
+        nodelet_harness.advance(seconds)
     assert nodelet_harness.log == [
-        LogEntry(
-            "info",
-            "/nodelet: 2 messages, 1.0 Hz, latency 250.000 ms on average, 500.000 ms at most",
-        ),
+        LogEntry("info", f"/nodelet: 2 messages, 1.0 Hz{latency}"),
         LogEntry("info", "/nodelet: 0 messages, 0.0 Hz"),
     ]
-
-
-def test_sink_logs_no_latency_of_messages_without_a_stamp(nodelet_harness):
-    nodelet_harness.load(Sink, ports=IN, parameters={"period": 1.0, "datatype": "std_msgs/String"})
-    nodelet_harness.publish("/in", String("hello"))
-    nodelet_harness.advance(1.0)
-    assert nodelet_harness.log == [LogEntry("info", "/nodelet: 1 messages, 1.0 Hz")]

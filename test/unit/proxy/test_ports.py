@@ -161,21 +161,16 @@ class TestSharing:
         assert numbers(got) == [1]
 
 
-class TestWaitForMessage:
-    @pytest.fixture(name="bench")
-    def _bench(self, pool):
-        return Bench(pool)
-
-    def test_waits_at_a_port_though_it_is_connected_meanwhile(self, bench):
-        got = []
-        thread = in_thread(lambda: got.append(bench.nh.wait_for_message("in", Message)))
-        eventually(lambda: "in" in bench.topics())
-        bench.probe.Publisher("/t", Message, latch=True).publish(3)
-        bench.connect(**{"in": "/t"})
-        join(thread)
-        assert bench.world.registrations == [("publisher", "/t")]
-        assert bench.topics() == {"in": "/t"}
-        starting = Context(bench.world.runtime, "/starting", {"/in": "/t"})
-        nh = dyknow.NodeHandle(PlainNodeHandle(starting, "/"))
-        got.append(nh.wait_for_message("in", Message, 10.0))
-        assert numbers(got) == [3, 3]
+def test_a_message_is_awaited_at_a_port_though_it_is_connected_meanwhile(pool):
+    bench, got = Bench(pool), []
+    thread = in_thread(lambda: got.append(bench.nh.wait_for_message("in", Message)))
+    eventually(lambda: "in" in bench.topics())
+    bench.probe.Publisher("/t", Message, latch=True).publish(3)
+    bench.connect(**{"in": "/t"})
+    join(thread)
+    assert bench.world.registrations == [("publisher", "/t")]
+    assert bench.topics() == {"in": "/t"}
+    starting = Context(bench.world.runtime, "/starting", {"/in": "/t"})
+    nh = dyknow.NodeHandle(PlainNodeHandle(starting, "/"))
+    got.append(nh.wait_for_message("in", Message, 10.0))
+    assert numbers(got) == [3, 3]

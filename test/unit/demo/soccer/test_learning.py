@@ -81,7 +81,8 @@ def test_a_threshold_is_the_least_one_that_is_precise():
     assert learn.count(scored, 0.52) == (2, 0)
 
 
-def test_the_shipped_forest_prefers_a_drawn_ball_to_a_bar():
+def test_the_shipped_forest_is_small_and_prefers_a_drawn_ball_to_a_bar():
+    assert learnt.MODEL.stat().st_size < 500_000
     model = learnt.load_forest()
     planes = planes_from_bgr(with_ball((200, 250), 20, YELLOWS["warm"]), 2)
     find = learnt.find_learnt(planes, 2, model)[0]
@@ -101,10 +102,6 @@ def test_the_nodelet_finds_a_dim_pale_ball_only_by_what_was_learnt():
     assert any(find.centre == pytest.approx((200, 250), abs=2) for find in finds)
 
 
-def test_the_shipped_forest_is_small():
-    assert learnt.MODEL.stat().st_size < 500_000
-
-
 def test_what_is_no_forest_is_named(tmp_path):
     file = tmp_path / "some.yml.gz"
     with pytest.raises(ValueError, match="no forest"):
@@ -121,13 +118,12 @@ def test_the_shipped_forest_is_of_the_frames(tmp_path):
 
 @pytest.fixture
 def annotated(tmp_path):
-    image = np.full((400, 300, 3), (60, 120, 50), np.uint8)
-    cv2.circle(image, (150, 200), 20, (40, 210, 230), -1)
-    cv2.imwrite(str(tmp_path / "b.png"), image)
-    (tmp_path / "b.txt").write_text("2 0.1 0.1 0.1 0.1\n0 0.5 0.5 0.1333 0.1\n\n")
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((400, 300, 3), (60, 120, 50), np.uint8))
+    grass = np.full((400, 300, 3), (60, 120, 50), np.uint8)
+    ball = cv2.circle(grass.copy(), (150, 200), 20, YELLOWS["warm"], -1)
+    for name, image in (("a", grass), ("b", ball), ("unannotated", ball)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
     (tmp_path / "a.txt").write_text("0 0.5 0.5 0.1 0.1")
-    cv2.imwrite(str(tmp_path / "unannotated.png"), image)
+    (tmp_path / "b.txt").write_text("2 0.1 0.1 0.1 0.1\n0 0.5 0.5 0.1333 0.1\n\n")
     return tmp_path
 
 
