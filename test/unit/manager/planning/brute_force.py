@@ -8,20 +8,17 @@ from __future__ import annotations
 import heapq
 import itertools
 from math import inf
-from typing import (
-    Dict,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-)
+from typing import Iterable, Iterator, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from dyknow.manager.planning.problem import NO_VERDICTS, Demand, Live, Plan, Verdicts
+from dyknow.manager.planning.problem import (
+    NO_VERDICTS,
+    NO_WISHES,
+    Demand,
+    Live,
+    Plan,
+    Verdicts,
+    Wishes,
+)
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -41,14 +38,15 @@ class Problem(NamedTuple):
         paused: labels of which no new nodelet is made.
     """
 
-    library: Tuple[Transformation, ...]
-    live: Tuple[Tuple[Live, Tuple[Term, ...]], ...]
+    library: tuple[Transformation, ...]
+    live: tuple[tuple[Live, tuple[Term, ...]], ...]
     exclude: frozenset[str]
     goal: Demand
     ontology: Subsumption
-    free: Tuple[Nodelet, ...] = ()
+    free: tuple[Nodelet, ...] = ()
     verdicts: Verdicts = NO_VERDICTS
     paused: frozenset[str] = frozenset()
+    wishes: Wishes = NO_WISHES
 
 
 class TooLarge(Exception):
@@ -62,20 +60,20 @@ class Instance(NamedTuple):
     bindings: Mapping[str, str]
 
 
-def tags_of(port: Port) -> List[Term]:
+def tags_of(port: Port) -> list[Term]:
     return [parse_tag(text) for text in port.tags]
 
 
-def tagged(transformation: Transformation, direction: str) -> List[Port]:
+def tagged(transformation: Transformation, direction: str) -> list[Port]:
     """Return the ports of a direction that have tags."""
     return [port for port in transformation.ports if port.direction == direction and port.tags]
 
 
-def variables_in(terms: Iterable[Term]) -> List[str]:
+def variables_in(terms: Iterable[Term]) -> list[str]:
     return sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
 
 
-def variables_of(transformation: Transformation) -> List[str]:
+def variables_of(transformation: Transformation) -> list[str]:
     return variables_in(term for port in transformation.ports for term in tags_of(port))
 
 
@@ -107,7 +105,7 @@ def fits(
     )
 
 
-def bound(terms: Sequence[Term], bindings: Mapping[str, str]) -> List[Term]:
+def bound(terms: Sequence[Term], bindings: Mapping[str, str]) -> list[Term]:
     return [Term(term.functor, tuple(bindings.get(a, a) for a in term.args)) for term in terms]
 
 
@@ -120,14 +118,14 @@ def is_typed(terms: Sequence[Term], bindings: Mapping[str, str], ontology: Subsu
     )
 
 
-def individuals(problem: Problem) -> List[str]:
+def individuals(problem: Problem) -> list[str]:
     """Return the names that are supplied, one of each entity."""
     terms = [term for _, tags in problem.live for term in tags]
     for each in problem.library:
         for port in each.ports:
             if port.direction == "out":
                 terms += tags_of(port)
-    names: Dict[str, str] = {}
+    names: dict[str, str] = {}
     for term in terms:
         for arg in term.args:
             if not arg.startswith("?"):
@@ -217,7 +215,7 @@ class Suppliers(NamedTuple):
     """
 
     mask: int
-    latencies: Dict[int, int]
+    latencies: dict[int, int]
     fast: int
     followers: int
 
@@ -236,8 +234,8 @@ class Instances(NamedTuple):
     """
 
     goal: Suppliers
-    needs: List[List[Suppliers]]
-    all: List[Instance]
+    needs: list[list[Suppliers]]
+    all: list[Instance]
 
     def latency(self, there: int) -> float:
         """Return when the goal is supplied with some instances, in microseconds."""
@@ -281,7 +279,7 @@ class Supplied(NamedTuple):
     latency: float
 
 
-def supplied(problem: Problem) -> List[Supplied]:
+def supplied(problem: Problem) -> list[Supplied]:
     """Write out the live streams and those that all instances would supply if they were made."""
     found = [
         Supplied(0, each.label, tags, each.datatype, each.rate, each.latency)
@@ -316,7 +314,7 @@ def written_out(problem: Problem) -> Instances:
     def suppliers(
         demanded: Sequence[Term], datatype: str, many: Iterable[Mapping[str, str]]
     ) -> Suppliers:
-        found: Dict[int, int] = {}
+        found: dict[int, int] = {}
         fast, followers = 0, 0
         for bindings in many:
             for number, _, tags, kind, rate, seconds in streams:
@@ -352,7 +350,7 @@ def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
         else None
         for each in instances
     ]
-    known: Dict[Tuple[int, ...], float] = {}
+    known: dict[tuple[int, ...], float] = {}
     relevant = goal.mask
     grown = True
     while grown:
@@ -364,7 +362,7 @@ def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
                     relevant |= demand.mask
     numbers = [number for number in range(len(needs)) if relevant >> number & 2]
     # Instances that need and supply the same are interchangeable: one of them will do.
-    alike: Dict[Tuple[object, ...], int] = {}
+    alike: dict[tuple[object, ...], int] = {}
     users = [demand for demands in [*needs, [goal]] for demand in demands]
     kept = []
     for number in numbers:
@@ -383,8 +381,8 @@ def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
     max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
     #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
     #: or that may not be made, and the cost of the rest.
-    heap: List[Tuple[float, int, int, Tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
-    seen: Set[Tuple[int, int]] = set()
+    heap: list[tuple[float, int, int, tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
+    seen: set[tuple[int, int]] = set()
     while heap:
         cost, there, quick, chosen, paid = heapq.heappop(heap)
         if (there, quick) in seen:
@@ -454,4 +452,5 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     assert is_typed(goal, dict(plan.bindings), ontology)
     check(plan.goal, goal, problem.goal.datatype, dict(plan.bindings))
     steps = [Instance(library[step.action.label], dict(step.bindings)) for step in plan.steps]
-    assert plan.cost == cost_of(steps, problem)
+    charges = [step.action.charge for step in plan.steps] + [charge for _, charge in plan.charges]
+    assert plan.cost == plan.total == cost_of(steps, problem) + sum(charges)

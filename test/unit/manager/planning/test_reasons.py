@@ -10,7 +10,7 @@ import re
 from typing import Set
 
 import pytest
-from unit.manager.planning.brute_force import Problem, supplied, supplies
+from unit.manager.planning.brute_force import supplied, supplies
 from unit.manager.planning.examples import demand, make, planner_with
 from unit.manager.planning.random_problems import (
     look_up_by_name,
@@ -20,16 +20,9 @@ from unit.manager.planning.random_problems import (
 from unit.manager.witness import Concepts
 
 from dyknow.manager.planning.explanation import as_tree
-from dyknow.manager.planning.planner import Planner
-from dyknow.manager.planning.problem import Answer, Live, NoPlan
+from dyknow.manager.planning.problem import Live, NoPlan
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.transformation import Transformation
-
-
-def solve(problem: Problem) -> Answer:
-    planner = Planner(problem.ontology, clock=lambda: 0.0)
-    planner.add(problem.library)
-    return planner.plan(problem.goal, problem.live, problem.exclude)
 
 
 def named(cause: str) -> Set[str]:
@@ -50,7 +43,8 @@ def test_refusals_of_random_problems_state_no_falsehood(
         problem = problem._replace(
             exclude=problem.exclude | {*excluded_too}, goal=problem.goal._replace(max_age=0.0)
         )
-        answer = solve(problem)
+        planner = planner_with(problem.library, problem.ontology)
+        answer = planner.plan(problem.goal, problem.live, problem.exclude)
         if not isinstance(answer, NoPlan):
             continue
         assert answer.missing or answer.obstacles or answer.circular, seed
