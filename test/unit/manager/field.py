@@ -16,6 +16,7 @@ from dyknow.errors import HostTimeout
 from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.reconciler import open_reconciler
+from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
@@ -138,19 +139,23 @@ class Field:
     def open(self) -> None:
         """Start a manager on the content of the store."""
         self.store = Store(self.path)
-        library = Library(self.store, self.ontology)
+        host, store = self.seen_by_manager()
         self.events: List[ClaimEvent] = []
         self.on_event: Callable[[ClaimEvent], None] = self.events.append
         self.reconciler = open_reconciler(
-            self.host,
-            self.store,
-            library,
+            host,
+            store,
+            Library(store, self.ontology),
             clock=self.clock,
             sleep=self.sleep,
             on_event=lambda event: self.on_event(event),
         )
         self.manager = self.reconciler.manager
         self.manager.start()
+
+    def seen_by_manager(self) -> Tuple[Host, Store]:
+        """Return the host and the store that the manager works with."""
+        return self.host, self.store
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""
