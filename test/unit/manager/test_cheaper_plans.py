@@ -11,15 +11,7 @@ import random
 from typing import Any, List, Optional
 
 import pytest
-from unit.manager.field import (
-    IMAGE,
-    LIBRARY,
-    POINT,
-    RELAY,
-    Field,
-    counted_ids,
-    transformation,
-)
+from unit.manager.field import IMAGE, LIBRARY, POINT, RELAY, Field, counted_ids, transformation
 
 from dyknow.errors import BadParameter, InvalidParameters, NoPlanFound, UnknownTransformation
 from dyknow.manager.claims.claim_planner import OwnNodelet, assigned

@@ -328,11 +328,7 @@ def written_out(problem: Problem) -> Instances:
         return Suppliers(sum(1 << number for number in found), found, fast, followers)
 
     return Instances(
-        suppliers(
-            goal,
-            problem.goal.datatype,
-            ways(goal, individuals(problem), problem.ontology),
-        ),
+        suppliers(goal, problem.goal.datatype, ways(goal, individuals(problem), problem.ontology)),
         [
             [suppliers(tags_of(port), port.datatype, [bindings]) for port in tagged(each, "in")]
             for each, bindings in every

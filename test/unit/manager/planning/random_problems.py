@@ -76,11 +76,7 @@ class _Writer:
         return self.chance.choice(self.names)
 
     def tag(
-        self,
-        variables: List[str],
-        share: float,
-        may_have_type: bool,
-        functors: Sequence[str] = (),
+        self, variables: List[str], share: float, may_have_type: bool, functors: Sequence[str] = ()
     ) -> str:
         functor = self.chance.choice(functors or self.functors)
         args = []

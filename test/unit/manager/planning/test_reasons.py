@@ -12,11 +12,7 @@ from typing import Set
 import pytest
 from unit.manager.planning.brute_force import supplied, supplies
 from unit.manager.planning.examples import demand, make, planner_with
-from unit.manager.planning.random_problems import (
-    look_up_by_name,
-    random_problem,
-    with_limits,
-)
+from unit.manager.planning.random_problems import look_up_by_name, random_problem, with_limits
 from unit.manager.witness import Concepts
 
 from dyknow.manager.planning.explanation import as_tree
@@ -31,9 +27,7 @@ def named(cause: str) -> Set[str]:
     return {*re.sub(r" and \d+ more$", "", listed).split(", ")}
 
 
-def test_refusals_of_random_problems_state_no_falsehood(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_refusals_of_random_problems_state_no_falsehood(monkeypatch: pytest.MonkeyPatch) -> None:
     missing = excluded = typed = of_datatypes = slow = 0
     for seed in range(1_500):
         look_up_by_name(monkeypatch, seed)
