@@ -186,6 +186,13 @@ class Field:
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
         return self.reconciler.acquire(StreamRequest(tag, **kwds))
 
+    def flowing(self, tag: str = GOAL, **kwds: Any) -> Claim:
+        """Acquire a stream, and return its claim once it flows."""
+        claim = self.acquire(tag, **kwds).claim
+        self.settle()
+        self.check_flows(claim)
+        return claim
+
     def add(self, label: str, ports: Ports, cost: int = 1, params: str = "") -> str:
         """Add a transformation and its program; all its ports carry images. Return its source."""
         source = "lab/" + label.replace(" ", "_")

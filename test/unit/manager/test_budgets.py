@@ -128,8 +128,7 @@ def test_tags_that_were_asked_for_once(field: Field) -> None:
         if number in (20, 99):
             after.append(kept())
     assert after[1] == after[0]
-    field.acquire()
-    field.settle()
+    field.flowing()
 
 
 def test_labels_that_were_replaced(field: Field) -> None:
@@ -143,8 +142,7 @@ def test_labels_that_were_replaced(field: Field) -> None:
             after.append(kept())
     assert after[1] <= after[0] + 20
     field.manager.add_transformation(LIBRARY)
-    field.acquire()
-    field.settle()
+    field.flowing()
 
 
 def test_the_same_library_again_is_nothing_new(field: Field) -> None:

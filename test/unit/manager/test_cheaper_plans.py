@@ -322,8 +322,7 @@ def test_whichever_of_the_idle_nodelets_fits_costs_nothing(cameras: Field) -> No
 
 @pytest.mark.parametrize("side", SIDES)
 def test_what_is_healthy_on_the_other_side_stays(cameras: Field, side: str) -> None:
-    claim = cameras.acquire("Depth(field)").claim
-    cameras.settle()
+    claim = cameras.flowing("Depth(field)")
     for each in SIDES:
         cameras.manager.add_transformation(other(each))
     cameras.manager.destroy(f"/camera_{side}_1")
@@ -341,8 +340,7 @@ def test_what_is_healthy_on_the_other_side_stays(cameras: Field, side: str) -> N
 def test_what_is_removed_while_plans_are_compared(
     field: Field, monkeypatch: pytest.MonkeyPatch, read: str, label: str
 ) -> None:
-    claim = field.acquire().claim
-    field.settle()
+    claim = field.flowing()
     planner = field.reconciler._planner
     method = getattr(planner, read)
 

@@ -157,8 +157,7 @@ def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
     robot.manager.remove_transformation("localization")
     robot.manager.add_transformation(LOCALIZATION)
     robot.run("/robot/where", "robot/where", {"position": "/position"})
-    claim = robot.acquire().claim
-    robot.settle()
+    claim = robot.flowing()
     robot.host.calls.clear()
     robot.kill_manager()
     robot.settle()

@@ -40,8 +40,7 @@ def watch(field: Field, topic: str) -> List[str]:
 @pytest.mark.parametrize("label", ["bottom camera", "localization"])
 def test_a_part_is_replaced_without_a_gap(field: Field, label: str) -> None:
     field.manager.add_transformation(OTHER)
-    claim = field.acquire().claim
-    field.settle()
+    claim = field.flowing()
     gaps = watch(field, claim.topic)
     kept = set(field.host.running) - {f"/{label.replace(' ', '_')}_1"}
     field.manager.remove_transformation(label)
@@ -54,8 +53,7 @@ def test_a_part_is_replaced_without_a_gap(field: Field, label: str) -> None:
 
 def test_a_replacement_that_does_not_deliver_takes_over_all_the_same(field: Field) -> None:
     field.manager.add_transformation(OTHER)
-    claim = field.acquire().claim
-    field.settle()
+    claim = field.flowing()
     field.host.silent.add("/other_localization_1")
     field.manager.remove_transformation("localization")
     before = field.now
@@ -67,8 +65,7 @@ def test_a_replacement_that_does_not_deliver_takes_over_all_the_same(field: Fiel
 
 
 def test_nobody_waits_where_nothing_flows_anyway(field: Field) -> None:
-    claim = field.acquire().claim
-    field.settle()
+    claim = field.flowing()
     field.host.silent.add("soccer/Camera")
     field.host.vanish("/localization_1")
     before = field.now
@@ -84,8 +81,7 @@ def test_nobody_waits_where_nothing_flows_anyway(field: Field) -> None:
 def test_a_mend_that_fails_leaves_the_stream_as_it_was(
     field: Field, operation: str, part: str
 ) -> None:
-    claim = field.acquire().claim
-    field.settle()
+    claim = field.flowing()
     before = {name: dict(field.host.nodelet(name).ports) for name in field.host.running}
     field.host.fail_at(operation, part)
     field.manager.remove_transformation("bottom camera")
@@ -116,8 +112,7 @@ def test_a_request_that_fails_leaves_nothing(field: Field, operation: str, part:
     assert (field.host.running, field.reconciler.claims()) == ([], [])
     assert field.host.parameters == {}
     field.host.recover()
-    field.acquire()
-    field.settle()
+    field.flowing()
 
 
 def test_a_type_that_was_not_stated_is_verified(field: Field) -> None:
@@ -149,8 +144,7 @@ def test_an_in_port_of_another_type_leaves_its_supplier_to_others(
     field.manager.add_transformation(transformation("cloud", "soccer/Cloud", *text, cost=0))
     request = StreamRequest("Planes(field)")
     assert "cloud" in field.reconciler.acquire(request, dry_run=True).spawned
-    claim = field.acquire("Planes(field)").claim
-    field.settle()
+    claim = field.flowing("Planes(field)")
     field.check_flows(claim)
     assert "subsampler" in field.labels() and "cloud" not in field.labels()
 
@@ -177,8 +171,7 @@ def test_a_stream_that_others_listen_to_is_relayed(field: Field) -> None:
 
 def test_an_ordinary_topic_takes_over_through_a_relay(field: Field) -> None:
     claim = field.acquire().claim
-    other = field.acquire("FieldPosition(?what)").claim
-    field.settle()
+    other = field.flowing("FieldPosition(?what)")
     referee = topic("referee", "/referee/ball", GOAL, datatype=POINT)
     field.manager.add_transformation(referee)
     field.host.topics.add("/referee/ball")

@@ -63,8 +63,7 @@ def topic(field: Field, name: str, port: str) -> str:
 
 
 def test_a_mend_that_was_not_answered_is_taken_back_when_it_comes(field: Field) -> None:
-    claim = field.acquire().claim
-    field.settle(3.0)
+    claim = field.flowing()
     field.host.slow.add("/subsampler_1")
 
     field.host.fail_at("load", "/subsampler_2", "there is no other one")
@@ -86,8 +85,7 @@ def test_a_mend_that_was_not_answered_is_taken_back_when_it_comes(field: Field) 
 
 
 def test_a_claim_waits_only_once_its_parts_are_known_to_be_disconnected(field: Field) -> None:
-    claim = field.acquire("RelativePosition(ball)").claim
-    field.settle(3.0)
+    claim = field.flowing("RelativePosition(ball)")
     field.host.slow.add("/detector_1")
     field.host.topics.clear()
     field.settle(3.0)
@@ -104,8 +102,7 @@ def test_a_claim_waits_only_once_its_parts_are_known_to_be_disconnected(field: F
 
 
 def test_nobody_is_asked_about_connections_that_are_known(field: Field) -> None:
-    field.acquire()
-    field.settle(3.0)
+    field.flowing()
     before = len(field.host.calls)
     field.settle(3.0)
     asked = {what for what, _ in field.host.calls[before:]}

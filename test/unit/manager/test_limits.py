@@ -47,7 +47,7 @@ class LimitField(Field):
         self.delays = self.host.delays
         self.delays.update(dict.fromkeys(self.host.sources, 0.01))
 
-    def pass_time(self, seconds: float) -> None:
+    def settle(self, seconds: float = 10.0) -> None:
         """Let messages flow every 50 ms, and the reconciler work every half second."""
         for step in range(round(seconds / STEP)):
             self.sleep(STEP)
@@ -119,12 +119,11 @@ def field() -> LimitField:
 
 @pytest.mark.parametrize("label", CHAIN)
 def test_the_part_at_fault_is_replaced_once(field: LimitField, limit: Limit, label: str) -> None:
-    claim = field.acquire(**limit.request).claim
-    field.pass_time(15.0)
+    claim = field.flowing(**limit.request)
     victim = field.parts()[label]
     others = set(field.host.running) - {victim}
     limit.spoil(field, victim, 5)
-    field.pass_time(60.0)
+    field.settle(60.0)
     (reason,) = field.mended()
     what = "mended: nodelet " + limit.reason.format(victim)
     assert re.fullmatch(what + f"; {victim[:-1]}2 is used now", reason)
@@ -139,13 +138,13 @@ def test_without_another_way_it_is_degraded_until_the_part_recovers(
     field.manager.remove_transformation("ceiling camera")
     limit.spoil(field, "soccer/Camera", 4)
     claim = field.acquire(**limit.request).claim
-    field.pass_time(120.0)
+    field.settle(120.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     assert "nodelet /bottom_camera_" in field.claim(claim.claim_id).detail
     assert (claim.topic in field.moving) is (limit is not LIMITS["silence"])
     assert len(field.mended()) <= (10 if limit is LIMITS["silence"] else 4), "the pauses grow"
     limit.heal(field, "soccer/Camera")
-    field.pass_time(120.0)
+    field.settle(120.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.tidy()
 
@@ -155,28 +154,27 @@ def test_a_transformation_that_never_is_good_enough_gives_way(
 ) -> None:
     limit.spoil(field, "soccer/Camera", 5)
     claim = field.acquire(**limit.request).claim
-    field.pass_time(30.0)
+    field.settle(30.0)
     assert "ceiling camera" in field.labels()
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     mended = len(field.mended())
     assert mended <= 2
-    field.pass_time(60.0)
+    field.settle(60.0)
     assert len(field.mended()) == mended
 
 
 def test_an_ordinary_topic_can_be_at_fault(field: LimitField, limit: Limit) -> None:
     field.manager.add_transformation(topic("scan", "/scan", "Scan(here)"))
     field.host.topics.add("/scan")
-    claim = field.acquire("Scan(here)", **limit.request).claim
-    field.pass_time(10.0)
+    claim = field.flowing("Scan(here)", **limit.request)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     limit.spoil(field, "/scan", 5)
-    field.pass_time(15.0)
+    field.settle(15.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     detail = field.claim(claim.claim_id).detail
     assert re.match("topic " + limit.reason.format("/scan"), detail)
     limit.heal(field, "/scan")
-    field.pass_time(15.0)
+    field.settle(15.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert not field.mended()
 
@@ -189,10 +187,9 @@ def test_clients_without_the_limit_go_on_with_the_part(
     if is_by_hand:
         field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
     easy = field.acquire("YUV(field)").claim
-    keen = field.acquire(**limit.request).claim
-    field.pass_time(10.0)
+    keen = field.flowing(**limit.request)
     limit.spoil(field, easy.nodelets[0], 5)
-    field.pass_time(30.0)
+    field.settle(30.0)
     assert len(field.mended()) == 1
     assert field.claim(easy.claim_id).nodelets == easy.nodelets
     assert not {*easy.nodelets} & {*field.claim(keen.claim_id).nodelets}
@@ -211,14 +208,13 @@ def test_only_a_part_that_was_at_fault_lately_is_blamed(
     name_of_limit: str, turns: List[Tuple[str, int, int]]
 ) -> None:
     limit, field = LIMITS[name_of_limit], LimitField()
-    claim = field.acquire(**limit.request).claim
-    field.pass_time(10.0)
+    claim = field.flowing(**limit.request)
     bad: Set[str] = set()
     bad_until: Dict[str, float] = {}
 
     def check(seconds: float) -> None:
         begin = len(field.events)
-        field.pass_time(seconds)
+        field.settle(seconds)
         for event in field.events[begin:]:
             for name in re.findall(r"nodelet (\S+) (?:is too slow|delays)", event.reason):
                 assert field.now - bad_until.get(name, -100.0) < seconds + 10.0, name
@@ -235,7 +231,7 @@ def test_only_a_part_that_was_at_fault_lately_is_blamed(
         limit.heal(field, name)
     check(60.0)
     begin = len(field.events)
-    field.pass_time(60.0)
+    field.settle(60.0)
     assert len(field.events) - begin <= 3, "it has come to rest"
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
@@ -304,11 +300,11 @@ def test_two_claims_do_not_take_a_part_from_each_other(
     first = field.acquire(SEEN, min_rate=15.0).claim
     second = field.acquire("View(field)", max_age=0.2).claim
     assert set(first.nodelets) < set(second.nodelets)
-    field.pass_time(8.0)
+    field.settle(8.0)
     field.delays["soccer/Fast"] = 1.0
-    field.pass_time(30.0)
+    field.settle(30.0)
     events, calls = len(field.events), len(field.host.calls)
-    field.pass_time(60.0)
+    field.settle(60.0)
     assert field.events[events:] == []
     assert {"connect", "load"}.isdisjoint(name for name, _ in field.host.calls[calls:])
     assert {each.state for each in field.living()} == {ClaimState.ACTIVE}
@@ -328,9 +324,9 @@ def test_two_claims_with_formulas_do_not_take_a_part_from_each_other(
             for each, bad in ((first, "/slow_1"), (second, "/fast_1")):
                 claim = field.claim(each.claim_id)
                 field.host.decide(topic_of_verdicts(claim), bad not in claim.nodelets)
-            field.pass_time(0.5)
+            field.settle(0.5)
 
-    field.pass_time(5.0)
+    field.settle(5.0)
     judge(30.0)
     events = len(field.events)
     judge(60.0)
@@ -345,20 +341,19 @@ def test_a_part_that_sends_less_than_it_receives_is_not_blamed(field: LimitField
     """The subsampler sends each third image; then the camera, still above 5 Hz, slows down."""
     field.dividers.update({"soccer/Camera": 1, "soccer/Subsampler": 3})
     field.acquire(min_rate=RATE)
-    field.pass_time(15.0)
+    field.settle()
     field.dividers["/bottom_camera_1"] = 3
-    field.pass_time(30.0)
+    field.settle(30.0)
     assert len(field.mended()) == 1
     assert "/bottom_camera_1 is too slow" in field.mended()[0]
 
 
 def test_a_rate_about_the_limit_makes_nothing_flap(field: LimitField) -> None:
     field.manager.remove_transformation("ceiling camera")
-    field.acquire(min_rate=RATE)
-    field.pass_time(15.0)
+    field.flowing(min_rate=RATE)
     for turn in range(40):
         field.dividers["soccer/Camera"] = 4 + turn % 2
-        field.pass_time(3.5)
+        field.settle(3.5)
     assert len(field.mended()) <= 5, field.mended()  # in 140 s: the pauses grow
     assert all("/bottom_camera_" in each for each in field.mended())
 
@@ -368,18 +363,17 @@ def test_a_replaced_transformation_is_tried_at_once(two_cameras: LimitField) -> 
     field.manager.remove_transformation("fast")
     field.dividers["soccer/Slow"] = 10
     claim = field.acquire(RAW, min_rate=RATE).claim
-    field.pass_time(100.0)
+    field.settle(100.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     field.manager.add_transformation(
         transformation("slow", "soccer/Fast", "out image", f"image {RAW}", 4)
     )
-    field.pass_time(5.0)
+    field.settle(5.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
 
 def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
-    field.acquire(min_rate=RATE)
-    field.pass_time(10.0)
+    field.flowing(min_rate=RATE)
 
     def take_long(operation: str, argument: str) -> None:
         if operation == "counts":
@@ -387,7 +381,7 @@ def test_a_slow_network_makes_no_part_slow(field: LimitField) -> None:
                 field.sleep(STEP)
 
     field.host.fail = take_long
-    field.pass_time(30.0)
+    field.settle(30.0)
     assert field.reasons() == ["requested", FIRST_MESSAGE]
 
 
@@ -402,14 +396,13 @@ def test_a_lost_nodelet_that_was_too_slow_leaves_other_streams_to_be_repaired(
     field.manager.add_transformation(alone)
     slow = field.acquire("YUV(field)", exclude=("ceiling camera",), min_rate=20.0).claim
     field.manager.remove_transformation("bottom camera")
-    other = field.acquire("Scan(here)").claim
-    field.pass_time(10.0)
+    other = field.flowing("Scan(here)")
     assert "/eye is too slow" in field.claim(slow.claim_id).detail
     field.host.kill("/robot")
-    field.pass_time(5.0)
+    field.settle(5.0)
     assert field.manager.graph.get("/eye").state is State.LOST
     field.host.vanish(other.goal[0])
-    field.pass_time(5.0)
+    field.settle(5.0)
     field.check_flows(other)
     assert field.state(slow.claim_id) is ClaimState.PENDING
 
@@ -431,21 +424,19 @@ def test_a_stated_rate_holds_for_the_goal_and_for_all_that_it_feeds(field: Limit
 def test_a_delay_that_is_stated_is_not_blamed(field: LimitField) -> None:
     """The detector states that it takes long; the camera does not."""
     state(field, "detector", latency=0.3)
-    field.acquire(max_age=0.4)
-    field.pass_time(10.0)
+    field.flowing(max_age=0.4)
     field.delays.update({field.parts()["detector"]: 0.3, "/bottom_camera_1": 0.2})
-    field.pass_time(30.0)
+    field.settle(30.0)
     (reason,) = field.mended()
     assert "/bottom_camera_1 delays the stream by 0.2 s" in reason
 
 
 def test_an_input_that_is_older_than_the_output_is_not_blamed(field: LimitField) -> None:
     """Messages of the detector bear the stamp of its images, not that of its joints."""
-    field.acquire(max_age=AGE)
-    field.pass_time(10.0)
+    field.flowing(max_age=AGE)
     detector = field.parts()["detector"]  # its delay adds to the age of its oldest input
     field.delays.update({"/bottom_camera_1": 0.2, JOINTS: 5.0, detector: -4.78})
-    field.pass_time(8.0)
+    field.settle(8.0)
     (reason,) = field.mended()
     assert "nodelet /bottom_camera_1 delays the stream by 0.2 s" in reason
 
@@ -454,19 +445,18 @@ def test_inputs_without_stamps_are_passed_over(field: LimitField) -> None:
     """The detector is fed by images without stamps, and by joints that are late."""
     claim = field.acquire(max_age=AGE).claim
     field.delays.update({JOINTS: 0.3, "soccer/Camera": None, "soccer/Subsampler": None})
-    field.pass_time(10.0)
+    field.settle(10.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
     assert "topic /joint_states delays the stream by 0.3 s" in field.claim(claim.claim_id).detail
 
 
 def test_hiccups_are_no_delay(field: LimitField) -> None:
-    field.acquire(max_age=AGE)
-    field.pass_time(10.0)
+    field.flowing(max_age=AGE)
     for _ in range(10):
         field.delays["/bottom_camera_1"] = 1.0
-        field.pass_time(1.0)
+        field.settle(1.0)
         field.delays["/bottom_camera_1"] = 0.01
-        field.pass_time(4.0)
+        field.settle(4.0)
     assert field.reasons() == ["requested", FIRST_MESSAGE]
 
 
@@ -479,13 +469,12 @@ def test_clients_share_a_topic_only_if_the_newcomer_allows_as_much_age(field: Li
 
 def test_the_claim_says_that_an_age_is_not_known(field: LimitField) -> None:
     field.delays["soccer/Localization"] = None
-    claim = field.acquire(max_age=AGE).claim
-    field.pass_time(10.0)
+    claim = field.flowing(max_age=AGE)
     assert field.reasons() == ["requested", FIRST_MESSAGE, UNKNOWN_AGE]
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     assert field.claim(claim.claim_id).detail == UNKNOWN_AGE
     field.delays["soccer/Localization"] = 0.01
-    field.pass_time(5.0)
+    field.settle(5.0)
     assert field.claim(claim.claim_id).detail == ""
     assert not field.mended()
 
