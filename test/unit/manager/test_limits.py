@@ -14,23 +14,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from property_tests import examples
-from unit.manager.field import (
-    CHAIN,
-    FIRST_MESSAGE,
-    IMAGE,
-    POINT,
-    Field,
-    library,
-    specification,
-    topic,
-    transformation,
-)
+from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, topic, transformation
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
 from dyknow.manager.claims.requirements import topic_of_verdicts
 from dyknow.manager.planning.planner import Planner
 from dyknow.model.graph import State
 from dyknow.model.streams import UNKNOWN_AGE, ClaimState, StreamRequest
+from dyknow.model.transformation import Port, Transformation
 
 #: Seconds between two messages of a source that is fast enough, and between two looks.
 STEP = 0.05
@@ -264,18 +255,12 @@ RAW, SEEN = "Raw(field)", "Seen(field)"
 @pytest.fixture
 def two_cameras(field: LimitField) -> LimitField:
     """Two cameras, the second of which is slow, for one filter, which a viewer needs."""
-    one, two = [("image", "out", IMAGE)], [("in", "in", IMAGE), ("out", "out", IMAGE)]
-    new = {"soccer/Fast": one, "soccer/Slow": one, "soccer/Filter": two, "soccer/Viewer": two}
-    field.host.sources.update(new)
-    field.delays.update(dict.fromkeys(new, 0.01))
-    field.dividers["soccer/Slow"] = 4
-    for label, source, ports, tags, cost in (
-        ("fast", "soccer/Fast", "out image", f"image {RAW}", 3),
-        ("slow", "soccer/Slow", "out image", f"image {RAW}", 4),
-        ("filter", "soccer/Filter", "in in, out out", f"in {RAW}; out {SEEN}", 2),
-        ("viewer", "soccer/Viewer", "in in, out out", f"in {SEEN}; out View(field)", 2),
-    ):
-        field.manager.add_transformation(transformation(label, source, ports, tags, cost))
+    field.add("fast", {"out": ("out", [RAW])}, 3)
+    field.add("slow", {"out": ("out", [RAW])}, 4)
+    field.add("filter", {"in": ("in", [RAW]), "out": ("out", [SEEN])}, 2)
+    field.add("viewer", {"in": ("in", [SEEN]), "out": ("out", ["View(field)"])}, 2)
+    field.delays.update(dict.fromkeys(field.host.sources, 0.01))
+    field.dividers["lab/slow"] = 4
     return field
 
 
@@ -301,7 +286,7 @@ def test_two_claims_do_not_take_a_part_from_each_other(
     second = field.acquire("View(field)", max_age=0.2).claim
     assert set(first.nodelets) < set(second.nodelets)
     field.settle(8.0)
-    field.delays["soccer/Fast"] = 1.0
+    field.delays["lab/fast"] = 1.0
     field.settle(30.0)
     events, calls = len(field.events), len(field.host.calls)
     field.settle(60.0)
@@ -361,13 +346,12 @@ def test_a_rate_about_the_limit_makes_nothing_flap(field: LimitField) -> None:
 def test_a_replaced_transformation_is_tried_at_once(two_cameras: LimitField) -> None:
     field = two_cameras
     field.manager.remove_transformation("fast")
-    field.dividers["soccer/Slow"] = 10
+    field.dividers["lab/slow"] = 10
     claim = field.acquire(RAW, min_rate=RATE).claim
     field.settle(100.0)
     assert field.state(claim.claim_id) is ClaimState.DEGRADED
-    field.manager.add_transformation(
-        transformation("slow", "soccer/Fast", "out image", f"image {RAW}", 4)
-    )
+    text = transformation("slow", "lab/fast", "out out", f"out {RAW}", 4)
+    field.manager.add_transformation(text)
     field.settle(5.0)
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
 
@@ -503,40 +487,35 @@ def test_a_type_that_the_spawn_shows_is_checked_too(field: LimitField) -> None:
     assert (claim.nodelets, claim.datatype) == (("/ceiling_camera_1",), POINT)
 
 
-def stating(label: str, *ports: Tuple[str, str]) -> str:
-    """Write a specification whose out-ports, which state their types, have one tag."""
-    named = {name: ("out", [f"Pose({label})"]) for name, _ in ports}
-    text = specification(label, "soccer/Pose", named, 1)
-    for name, datatype in ports:
-        text = text.replace(f">{name}<", f' datatype="{datatype}">{name}<', 1)
-    return text
+POSE = "geometry_msgs/Pose"
+
+
+def provide(field: LimitField, label: str, *ports: Port) -> None:
+    """Add a transformation, whose ports state their types, and its nodelet type."""
+    field.host.sources[f"lab/{label}"] = [port[:3] for port in ports]
+    field.manager.add_transformation(Transformation(label, f"lab/{label}", ports=ports).to_xml())
 
 
 def test_a_stamped_port_is_found_beside_one_without_a_stamp(field: LimitField) -> None:
-    ports = [("pose", "geometry_msgs/Pose"), ("pose_stamped", POINT)]
-    field.host.sources["soccer/Pose"] = [(name, "out", datatype) for name, datatype in ports]
-    field.host.unstamped.add("geometry_msgs/Pose")
-    field.manager.add_transformation(stating("robot", *ports))
+    field.host.unstamped.add(POSE)
+    tags = ("Pose(robot)",)
+    provide(field, "robot", Port("pose", "out", POSE, tags), Port("stamped", "out", POINT, tags))
     claim = field.acquire("Pose(robot)", max_age=AGE).claim
-    assert (claim.datatype, claim.goal[1]) == (POINT, "pose_stamped")
+    assert (claim.datatype, claim.goal[1]) == (POINT, "stamped")
 
 
 def test_a_stream_without_a_stamp_may_feed_the_part_that_stamps_it(field: LimitField) -> None:
-    field.host.sources["soccer/Pose"] = [("pose", "out", IMAGE)]
-    field.host.sources["soccer/Stamp"] = [("in", "in", IMAGE), ("out", "out", POINT)]
-    field.host.unstamped.add(IMAGE)
-    field.manager.add_transformation(stating("robot", ("pose", IMAGE)))
-    stamp = transformation("stamp", "soccer/Stamp", "in in, out out", "in Pose(?x); out Pose(?x)")
-    for way, datatype in (("in", IMAGE), ("out", POINT)):
-        stamp = stamp.replace(f'type="{way}"', f'type="{way}" datatype="{datatype}"')
-    field.manager.add_transformation(stamp)
+    field.host.unstamped.add(POSE)
+    provide(field, "robot", Port("pose", "out", POSE, ("Pose(robot)",)))
+    tags = ("Pose(?x)",)
+    provide(field, "stamp", Port("in", "in", POSE, tags), Port("out", "out", POINT, tags))
     assert field.acquire("Pose(robot)", max_age=AGE).spawned == ("/robot_1", "/stamp_1")
 
 
 def test_very_many_streams_without_a_stamp_are_refused_at_once(field: LimitField) -> None:
-    field.host.unstamped.add("geometry_msgs/Pose")
-    found = [stating(f"robot{n}", ("pose", "geometry_msgs/Pose")) for n in range(50)]
-    field.manager.add_transformation(library(*found))
+    field.host.unstamped.add(POSE)
+    for number in range(50):
+        provide(field, f"robot{number}", Port("pose", "out", POSE, (f"Pose(robot{number})",)))
     plan = mock.patch.object(Planner, "plan", autospec=True, side_effect=Planner.plan)
     with plan as counted, pytest.raises(StreamTypeMismatch, match="begins with a header"):
         field.acquire("Pose(?robot)", max_age=AGE)
