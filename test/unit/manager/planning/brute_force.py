@@ -73,10 +73,6 @@ def variables_in(terms: Iterable[Term]) -> list[str]:
     return sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
 
 
-def variables_of(transformation: Transformation) -> list[str]:
-    return variables_in(term for port in transformation.ports for term in tags_of(port))
-
-
 def fits(
     supplied: Sequence[Term],
     supplied_type: str,
@@ -260,7 +256,74 @@ def least_cost(problem: Problem) -> Optional[int]:
     Raises:
         TooLarge: it was not found among the sets that were tried.
     """
-    return _cheapest_set(written_out(problem), problem)
+    every = written_out(problem)
+    goal, needs, instances = every
+    special = {label for label, _ in problem.free} | problem.paused
+    groups = [
+        (each.transformation.label, *[serves(free, each, problem) for free in problem.free])
+        if each.transformation.label in special
+        else None
+        for each in instances
+    ]
+    known: dict[tuple[int, ...], float] = {}
+    relevant = goal.mask
+    grown = True
+    while grown:
+        grown = False
+        for number, demands in enumerate(needs):
+            if relevant >> number & 2:
+                for demand in demands:
+                    grown |= bool(demand.mask & ~relevant)
+                    relevant |= demand.mask
+    numbers = [number for number in range(len(needs)) if relevant >> number & 2]
+    # Instances that need and supply the same are interchangeable: one of them will do.
+    alike: dict[tuple[object, ...], int] = {}
+    users = [demand for demands in [*needs, [goal]] for demand in demands]
+    kept = []
+    for number in numbers:
+        needed = tuple(
+            (tuple(sorted(each.latencies.items())), each.fast, each.followers)
+            for each in needs[number]
+        )
+        made = tuple(
+            (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
+            for each in users
+        )
+        key = instances[number].transformation.cost, needed, made, groups[number]
+        if key not in alike:
+            alike[key] = number
+            kept.append(number)
+    max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
+    #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
+    #: or that may not be made, and the cost of the rest.
+    heap: list[tuple[float, int, int, tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
+    seen: set[tuple[int, int]] = set()
+    while heap:
+        cost, there, quick, chosen, paid = heapq.heappop(heap)
+        if (there, quick) in seen:
+            continue
+        seen.add((there, quick))
+        if len(seen) > _MOST_SETS:
+            raise TooLarge
+        is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
+        if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
+            return int(cost)
+        for number in kept:
+            bit = 2 << number
+            if not there & bit and all(there & each.mask for each in needs[number]):
+                is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
+                more, plain = chosen, paid
+                if groups[number]:
+                    more = tuple(sorted((*chosen, number)))
+                else:
+                    plain += instances[number].transformation.cost
+                if more not in known:
+                    known[more] = cost_of([instances[each] for each in more], problem)
+                total = plain + known[more]
+                if total < inf:
+                    quicker = quick | bit if is_quick else quick
+                    heapq.heappush(heap, (total, there | bit, quicker, more, plain))
+    return None
 
 
 def least_latency(problem: Problem) -> float:
@@ -337,76 +400,6 @@ def written_out(problem: Problem) -> Instances:
     )
 
 
-def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
-    goal, needs, instances = every
-    special = {label for label, _ in problem.free} | problem.paused
-    groups = [
-        (each.transformation.label, *[serves(free, each, problem) for free in problem.free])
-        if each.transformation.label in special
-        else None
-        for each in instances
-    ]
-    known: dict[tuple[int, ...], float] = {}
-    relevant = goal.mask
-    grown = True
-    while grown:
-        grown = False
-        for number, demands in enumerate(needs):
-            if relevant >> number & 2:
-                for demand in demands:
-                    grown |= bool(demand.mask & ~relevant)
-                    relevant |= demand.mask
-    numbers = [number for number in range(len(needs)) if relevant >> number & 2]
-    # Instances that need and supply the same are interchangeable: one of them will do.
-    alike: dict[tuple[object, ...], int] = {}
-    users = [demand for demands in [*needs, [goal]] for demand in demands]
-    kept = []
-    for number in numbers:
-        needed = tuple(
-            (tuple(sorted(each.latencies.items())), each.fast, each.followers)
-            for each in needs[number]
-        )
-        made = tuple(
-            (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
-            for each in users
-        )
-        key = instances[number].transformation.cost, needed, made, groups[number]
-        if key not in alike:
-            alike[key] = number
-            kept.append(number)
-    max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
-    #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
-    #: or that may not be made, and the cost of the rest.
-    heap: list[tuple[float, int, int, tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
-    seen: set[tuple[int, int]] = set()
-    while heap:
-        cost, there, quick, chosen, paid = heapq.heappop(heap)
-        if (there, quick) in seen:
-            continue
-        seen.add((there, quick))
-        if len(seen) > _MOST_SETS:
-            raise TooLarge
-        is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
-        if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
-            return int(cost)
-        for number in kept:
-            bit = 2 << number
-            if not there & bit and all(there & each.mask for each in needs[number]):
-                is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
-                more, plain = chosen, paid
-                if groups[number]:
-                    more = tuple(sorted((*chosen, number)))
-                else:
-                    plain += instances[number].transformation.cost
-                if more not in known:
-                    known[more] = cost_of([instances[each] for each in more], problem)
-                total = plain + known[more]
-                if total < inf:
-                    quicker = quick | bit if is_quick else quick
-                    heapq.heappush(heap, (total, there | bit, quicker, more, plain))
-    return None
-
-
 def assert_valid(plan: Plan, problem: Problem) -> None:
     """Live streams and earlier steps supply all that each step demands under its bindings."""
     ontology = problem.ontology
@@ -433,10 +426,9 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     for step in plan.steps:
         transformation = library[step.action.label]
         bindings = dict(step.bindings)
-        assert sorted(bindings) == variables_of(transformation) or not any(
-            port.direction == "in" for port in transformation.ports
-        )
         terms = [term for port in transformation.ports for term in tags_of(port)]
+        has_inputs = any(port.direction == "in" for port in transformation.ports)
+        assert sorted(bindings) == variables_in(terms) or not has_inputs
         assert is_typed(terms, bindings, ontology)
         ports = tagged(transformation, "in")
         assert [name for name, _ in step.inputs] == [port.name for port in ports]
