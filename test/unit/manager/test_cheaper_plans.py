@@ -104,7 +104,7 @@ def test_what_is_protected_is_not_saved(field: Field) -> None:
     assert news(field) == []
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [0, 2, 7, 8, 9, 10, 11])
 def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
     choice = random.Random(seed)
     tags = [f"Tag{number}(x)" for number in range(6)]
@@ -123,16 +123,19 @@ def test_an_offer_that_is_taken_never_raises_the_total(seed: int) -> None:
     for _ in range(5):
         with contextlib.suppress(NoPlanFound):
             field.acquire(choice.choice(tags))
+    offers = 0
     for number in range(6, 12):
         add(number)
         field.tidy()
         offered = [event.after.claim_id for event in field.events if "cheaper" in event.reason]
         field.events.clear()
+        offers += len(offered)
         for claim_id in offered[:1]:
             before = total(field)
             field.reconciler.replan(claim_id)
             field.tidy()
             assert total(field) <= before
+    assert offers, "else nothing is shown"
 
 
 def test_a_way_that_comes_and_goes_is_not_reported(field: Field) -> None:
