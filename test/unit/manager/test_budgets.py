@@ -97,7 +97,9 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < len(locks) <= 72
 
 
-def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_round_without_news_reads_no_world_and_calls_nobody(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     client = client_with_chain(4)
     client.acquire_stream(StreamRequest("Step4(x)"))
     for _ in range(3):
@@ -105,9 +107,11 @@ def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) ->
     worlds = counted(monkeypatch, World, "__init__")
     searches = counted(monkeypatch, World, "fits")
     writes = counted(monkeypatch, Store, "write")
+    client.host.calls.clear()
     for _ in range(5):
         client.settle()
     assert (worlds, searches, writes) == ([], [], [])
+    assert {operation for operation, _ in client.host.calls} <= {"published"}
 
 
 # Old requests, and nodelets that are gone, are forgotten
