@@ -12,11 +12,12 @@ from typing import Any, List, Optional
 
 import pytest
 from unit.manager.field import IMAGE, LIBRARY, POINT, RELAY, Field, counted_ids, transformation
+from unit.manager.planning.random_problems import Kinds
 
 from dyknow.errors import BadParameter, InvalidParameters, NoPlanFound, UnknownTransformation
 from dyknow.manager.claims.claim_planner import OwnNodelet, assigned
 from dyknow.manager.planning.problem import Action, Demand, Instance, New, Plan, PlanStep
-from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
+from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import StreamRequest
 
 # A plan is cheaper only if all claims together cost less
@@ -222,6 +223,7 @@ def plan(*instances: Instance) -> Plan:
 FREE = [OwnNodelet("/b", "t"), OwnNodelet("/a", "t"), OwnNodelet("/u", "u")]
 BOUND = [OwnNodelet("/r", "t", RIGHT, RIGHT), OwnNodelet("/l", "t", LEFT, LEFT)]
 KEPT = [OwnNodelet("/r", "t", (), RIGHT), OwnNodelet("/new", "t")]
+RENAMED = [OwnNodelet("/a", "t", (("?c", "urn:a"),))]
 MOVED = [OwnNodelet("/any", "t", (), LEFT), OwnNodelet("/l", "t", LEFT, LEFT)]
 
 
@@ -239,26 +241,16 @@ MOVED = [OwnNodelet("/any", "t", (), LEFT), OwnNodelet("/l", "t", LEFT, LEFT)]
         # But it is taken rather than that a new one is made.
         (MOVED, [("t", LEFT), ("t", RIGHT)], ["/l", "/any"]),
         (MOVED, [("t", RIGHT), ("t", LEFT)], ["/any", "/l"]),
+        # Names of one individual are the same.
+        (RENAMED, [("t", (("?c", "a"),))], ["/a"]),
     ],
 )
 def test_nodelets_are_used_again(
     own: List[OwnNodelet], needed: List[Instance], expected: List[Optional[str]]
 ) -> None:
-    found = assigned(plan(*needed), own, NO_ONTOLOGY)
+    found = assigned(plan(*needed), own, Kinds())
     assert [found.get(each) for each in needed] == expected
     assert set(found) <= set(needed)
-
-
-def test_names_of_one_individual_are_the_same() -> None:
-    class Names:
-        def names_above(self, name: str) -> frozenset[str]:
-            return frozenset((name, self.canonical(name)))
-
-        def canonical(self, name: str) -> str:
-            return name.split("/")[-1]
-
-    own = [OwnNodelet("/l", "t", (("?c", "urn:x/left"),))]
-    assert assigned(plan(("t", LEFT)), own, Names()) == {("t", LEFT): "/l"}
 
 
 # Several nodelets of one transformation, each for one camera
