@@ -145,9 +145,10 @@ def named(cause: str) -> Set[str]:
     return {*re.sub(r" and \d+ more$", "", listed).split(", ")}
 
 
-def test_refusals_of_random_problems_state_no_falsehood(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [600, pytest.param(6_000, marks=pytest.mark.long)])
+def test_refusals_state_no_falsehood(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     missing = excluded = typed = of_datatypes = slow = 0
-    for seed in range(1_500):
+    for seed in range(count):
         look_up_by_name(monkeypatch, seed)
         problem = with_limits(random_problem(seed), seed)
         labels = [each.label for each in problem.library]
