@@ -149,17 +149,6 @@ def test_labels_that_were_replaced(field: Field) -> None:
     field.flowing()
 
 
-def test_the_same_library_again_is_nothing_new(field: Field) -> None:
-    field.acquire()
-    field.manager.add_transformation(LIBRARY)
-    field.settle(2.0)
-    before = kept()
-    for _ in range(10):
-        field.manager.add_transformation(LIBRARY)
-        field.settle(0.2)
-    assert kept() == before
-
-
 def test_claims_that_could_not_be_made_and_ended(field: Field) -> None:
     for number in range(20):
         with pytest.raises(NoPlanFound) as raised:
