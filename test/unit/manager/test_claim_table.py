@@ -245,11 +245,6 @@ CLAIM = Claim(
 )
 
 
-def answers() -> StreamAnswers:
-    """Answers of a manager whose steady clock says 5 and whose clients' says 1000."""
-    return StreamAnswers(lambda: 1000.0, lambda: 5.0)
-
-
 @pytest.mark.parametrize(
     ("error", "result"),
     [
@@ -274,18 +269,17 @@ def test_a_cause_is_found_behind_others() -> None:
     assert refusal_of(wrapped).result is Result.TIMEOUT
 
 
-def test_a_claim_is_shown_on_the_clock_of_its_clients() -> None:
-    shown = answers().status(CLAIM)
+def test_claims_and_events_are_shown_on_the_clock_of_the_clients() -> None:
+    """The steady clock of the manager says 5, that of the clients 1000."""
+    answers = StreamAnswers(lambda: 1000.0, lambda: 5.0)
+    shown = answers.status(CLAIM)
     assert (shown.claim_id, shown.client_id, shown.tag) == ("id", "me", "Position(ball)")
     assert (shown.topic, shown.datatype) == ("/position", "std_msgs/Header")
     assert (shown.state, shown.detail) == (ClaimState.ACTIVE, "why")
     assert shown.nodelets == ("/a", "/b")
     assert shown.expires == 1010.0
-
-
-def test_an_event_of_a_new_claim_has_nothing_before() -> None:
     event = ClaimEvent(CLAIM, CLAIM, "requested")
-    new, old = (answers().event(event, is_new) for is_new in (True, False))
-    assert new.before is None
-    assert old.before == old.after == new.after
+    new, old = (answers.event(event, is_new) for is_new in (True, False))
+    assert new.before is None, "of a new claim"
+    assert old.before == old.after == new.after == shown
     assert (new.reason, new.stamp) == ("requested", 1000.0)
