@@ -17,6 +17,7 @@ from dyknow.manager.claim import Claim, ClaimEvent
 from dyknow.manager.claims.assembly import Acquired
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.graph import Graph
+from dyknow.manager.host import Host
 from dyknow.manager.library import Library
 from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.specifications.template import Concepts
@@ -140,16 +141,21 @@ class Field:
     def open(self) -> None:
         """Start a manager on the content of the store."""
         self.store = Store(self.path)
-        library, graph = Library(self.store, self.ontology), Graph(self.store, self.clock)
+        host, store = self.seen_by_manager()
+        library, graph = Library(store, self.ontology), Graph(store, self.clock)
         self.events: List[ClaimEvent] = []
         self.on_event: Callable[[ClaimEvent], None] = self.events.append
         self.reconciler = open_reconciler(
-            ManagerContext(self.host, self.store, library, graph, clock=self.clock),
+            ManagerContext(host, store, library, graph, clock=self.clock),
             self.sleep,
             on_event=lambda event: self.on_event(event),
         )
         self.manager = self.reconciler.manager
         self.manager.start()
+
+    def seen_by_manager(self) -> Tuple[Host, Store]:
+        """Return the host and the store that the manager works with."""
+        return self.host, self.store
 
     def kill_manager(self) -> None:
         """End the manager as kill -9 does, and start another."""
@@ -179,6 +185,13 @@ class Field:
 
     def acquire(self, tag: str = GOAL, **kwds: Any) -> Acquired:
         return self.reconciler.acquire(StreamRequest(tag, **kwds))
+
+    def flowing(self, tag: str = GOAL, **kwds: Any) -> Claim:
+        """Acquire a stream, and return its claim once it flows."""
+        claim = self.acquire(tag, **kwds).claim
+        self.settle()
+        self.check_flows(claim)
+        return claim
 
     def add(self, label: str, ports: Ports, cost: int = 1, params: str = "") -> str:
         """Add a transformation and its program; all its ports carry images. Return its source."""

@@ -13,18 +13,12 @@ from __future__ import annotations
 import collections
 import random
 from functools import partial
-from typing import Any, Callable, Dict, Optional, Tuple, cast
+from typing import Any, Callable, Dict, Optional, Tuple
 
 import pytest
-from unit.manager.faulty_lives import counted_ids
-from unit.manager.field import LIBRARY, SOURCES, Field
+from unit.manager.field import IMAGE, LIBRARY, SOURCES, Field, counted_ids
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.claims.reconciler import open_reconciler
-from dyknow.manager.graph import Graph
-from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext
-from dyknow.manager.store import Store
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Parameter
@@ -50,14 +44,11 @@ class Life:
         self.moments = 0
         self.end = end
 
-    def go_on(self) -> None:
-        """Raise if this life has ended."""
+    def go_on(self, is_moment: bool) -> None:
+        """Raise if this life has ended by now, perhaps at this moment."""
+        self.moments += is_moment
         if self.end is not None and self.moments >= self.end:
             raise Killed
-
-    def pass_moment(self) -> None:
-        self.moments += 1
-        self.go_on()
 
 
 class Mortal:
@@ -74,18 +65,14 @@ class Mortal:
             return found
 
         def call(*args: Any, **kwds: Any) -> Any:
-            self._life.go_on()
-            if name in self._effects:
-                self._life.pass_moment()
+            self._life.go_on(name in self._effects)
             result = found(*args, **kwds)
-            if name in self._effects:
-                self._life.pass_moment()
+            self._life.go_on(name in self._effects)
             return result
 
         return call
 
 
-IMAGE = "sensor_msgs/Image"
 #: Label, and whether it gets a process of its own.
 KINDS = (
     ("subsampler", False),
@@ -107,7 +94,6 @@ MORE = "".join(
     )
 )
 TAGS = ("YUV(field)", "RelativePosition(ball)", "FieldPosition(ball)")
-ROUNDS = 40
 
 Made = Tuple[str, bool, bool, Tuple[Tuple[str, str], ...], Tuple[Parameter, ...]]
 """Label, isolated, protected, topics, parameters."""
@@ -133,16 +119,8 @@ class Lives(Field):
         self.claimed: Dict[str, str] = {}
         self.doubtful_claim: Optional[str] = None
 
-    def open(self) -> None:
-        store = self.store = Store(self.path)
-        mortal = cast(Store, Mortal(store, self.life, ON_DISK))
-        host: Any = Mortal(self.host, self.life, ON_HOST)
-        library, graph = Library(mortal, self.ontology), Graph(mortal, self.clock)
-        self.events = []
-        context = ManagerContext(host, mortal, library, graph, clock=self.clock)
-        self.reconciler = open_reconciler(context, self.sleep, on_event=self.events.append)
-        self.manager = self.reconciler.manager
-        self.manager.start()
+    def seen_by_manager(self) -> Any:
+        return Mortal(self.host, self.life, ON_HOST), Mortal(self.store, self.life, ON_DISK)
 
     def start_again(self, end: Optional[int] = None) -> None:
         """Start a new life, which may end during its start."""
@@ -248,6 +226,11 @@ class Lives(Field):
 
     # Invariants
 
+    def come_to_rest(self) -> None:
+        """Let all be mended, and what nobody needs linger and go."""
+        for _ in range(40):
+            self.tick(0.5)
+
     def is_calm(self) -> bool:
         records = self.manager.graph.all()
         return all(each.state is State.RUNNING for each in records) and all(
@@ -256,8 +239,7 @@ class Lives(Field):
 
     def check_all(self) -> None:
         """All that was promised is there, once, and nothing else."""
-        for _ in range(ROUNDS):
-            self.tick(LINGER_STEP)
+        self.come_to_rest()
         assert self.is_calm(), [(e.name, e.state, e.detail) for e in self.manager.graph.all()]
         self.check()
         records = {each.name: each for each in self.manager.graph.all()}
@@ -296,18 +278,13 @@ class Lives(Field):
             if made[2]:
                 self.manager.set_protection(name, False)
             self.manager.destroy(name)
-        for _ in range(ROUNDS):
-            self.tick(LINGER_STEP)
+        self.come_to_rest()
         assert self.host.running == []
         assert self.host.parameters == {}
         assert not any(each.state.isolated_for for each in self.host.processes.values())
         assert [
             self.store.read(table, lambda key, text: text) for table in ("nodelets", "claims")
         ] == [{}, {}]
-
-
-#: Seconds of a round; nodelets that no claim needs linger for five.
-LINGER_STEP = 0.5
 
 
 def made_of(record: Any) -> Made:
@@ -336,7 +313,7 @@ def live(path: str, number: int, end: Optional[int]) -> int:
             with pytest.raises(Killed):
                 lives.start_again(dice.randrange(1, 30))
                 for _ in range(60):
-                    lives.tick(LINGER_STEP)
+                    lives.tick(0.5)
                 raise Killed  # it was over before
     lives.start_again()
     lives.check_all()

@@ -97,7 +97,9 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < len(locks) <= 72
 
 
-def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_round_without_news_reads_no_world_and_calls_nobody(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     client = client_with_chain(4)
     client.acquire_stream(StreamRequest("Step4(x)"))
     for _ in range(3):
@@ -105,9 +107,11 @@ def test_a_round_without_news_reads_no_world(monkeypatch: pytest.MonkeyPatch) ->
     worlds = counted(monkeypatch, World, "__init__")
     searches = counted(monkeypatch, World, "fits")
     writes = counted(monkeypatch, Store, "write")
+    client.host.calls.clear()
     for _ in range(5):
         client.settle()
     assert (worlds, searches, writes) == ([], [], [])
+    assert {operation for operation, _ in client.host.calls} <= {"published"}
 
 
 # Old requests, and nodelets that are gone, are forgotten
@@ -128,8 +132,7 @@ def test_tags_that_were_asked_for_once(field: Field) -> None:
         if number in (20, 99):
             after.append(kept())
     assert after[1] == after[0]
-    field.acquire()
-    field.settle()
+    field.flowing()
 
 
 def test_labels_that_were_replaced(field: Field) -> None:
@@ -143,19 +146,7 @@ def test_labels_that_were_replaced(field: Field) -> None:
             after.append(kept())
     assert after[1] <= after[0] + 20
     field.manager.add_transformation(LIBRARY)
-    field.acquire()
-    field.settle()
-
-
-def test_the_same_library_again_is_nothing_new(field: Field) -> None:
-    field.acquire()
-    field.manager.add_transformation(LIBRARY)
-    field.settle(2.0)
-    before = kept()
-    for _ in range(10):
-        field.manager.add_transformation(LIBRARY)
-        field.settle(0.2)
-    assert kept() == before
+    field.flowing()
 
 
 def test_claims_that_could_not_be_made_and_ended(field: Field) -> None:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from concurrent.futures import Future
-from typing import Any, Callable, Dict, Iterator, List, Optional
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Callable, Dict, Iterator, List
 
 import pytest
 from clocks import PATIENCE, in_thread, join, wait_for
-from unit.manager.field import GOAL, LIBRARY, LINGER, Field, topic, transformation
+from unit.manager.field import CHAIN, GOAL, LIBRARY, LINGER, Field, topic, transformation
 
 from dyknow.errors import DyKnowError, HostError, NoPlanFound
 from dyknow.manager.claims.assembly import Acquired
@@ -62,8 +62,8 @@ def test_a_stream_is_mended_while_another_one_is_being_made(field: Field) -> Non
     with meanwhile(field, "/localization_1", lose_a_part):
         second = field.acquire(GOAL).claim
     field.settle()
-    assert {first.topic, second.topic} <= field.moving
-    assert field.labels() == ["bottom camera", "detector", "localization", "subsampler"]
+    field.check_flows(first, second)
+    assert field.labels() == CHAIN
 
 
 @pytest.mark.parametrize("is_idle", [False, True])
@@ -85,7 +85,7 @@ def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) ->
     assert len(acquired.spawned) == (3 if is_idle else 4)
     assert ("/bottom_camera_1" in acquired.reused) is is_idle
     field.settle()
-    assert acquired.claim.topic in field.moving
+    field.check_flows(acquired.claim)
 
 
 def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
@@ -103,8 +103,8 @@ def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
         field.reconciler.replan(claim.claim_id)
     assert not [reason for reason in reasons if "gone" in reason]
     field.settle()
+    field.check_flows(claim)
     assert field.claim(claim.claim_id).goal[0] == "/cheap_localization_1"
-    assert claim.topic in field.moving
 
 
 def test_a_replanned_stream_keeps_its_publisher_while_its_monitor_is_made(field: Field) -> None:
@@ -188,7 +188,7 @@ def test_a_request_that_fails_leaves_what_a_mended_stream_uses_by_now(field: Fie
     ):
         field.acquire(GOAL, exclude=("bottom camera",))
     field.settle()
-    assert planes.topic in field.moving
+    field.check_flows(planes)
     assert "/ceiling_camera_1" in field.claim(planes.claim_id).nodelets
     field.tidy()
     assert not {"detector", "localization"} & set(field.labels())
@@ -202,17 +202,16 @@ def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
         with claim_lock.request("second"):
             order.append(claim_lock.claim_id)
 
-    thread = threading.Thread(target=ask)
     with claim_lock.request("first"):
         claim_lock.reserve(["/nodelet"])
-        thread.start()
+        thread = in_thread(ask)
         with claim_lock.pause():
             thread.join(0.05)
             with claim_lock.round():
                 order.append(claim_lock.claim_id)
         assert claim_lock.reserved
         order.append("end")
-    thread.join(10.0)
+    join(thread)
     assert order == ["first", "end", "second"]
     assert (claim_lock.claim_id, claim_lock.reserved) == ("", set())
 
@@ -221,39 +220,35 @@ def test_requests_come_one_at_a_time_and_rounds_in_between() -> None:
 
 
 class Slow:
-    """A planner that, on one thread, waits before it answers."""
+    """A request on a thread of its own, whose planner waits before it answers."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
-        self.is_planning = threading.Event()
-        self.may_answer = threading.Event()
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, request: Callable[[], Any], method: str = "plan"
+    ) -> None:
         self.calls = 0
-        self._thread: Optional[threading.Thread] = None
-        self._answer: Future[Any] = Future()
+        self._may_answer = threading.Event()
+        is_planning = threading.Event()
+        asking: List[threading.Thread] = []
         plan = getattr(Planner, method)
+
+        def ask() -> Any:
+            asking.append(threading.current_thread())
+            return request()
 
         def slowly(*args: Any, **kwds: Any) -> Any:
             answer = plan(*args, **kwds)
-            if threading.current_thread() is self._thread:
+            if threading.current_thread() in asking:
                 self.calls += 1
-                self.is_planning.set()
-                wait_for(self.may_answer)
+                is_planning.set()
+                wait_for(self._may_answer)
             return answer
 
         monkeypatch.setattr(Planner, method, slowly)
-
-    def start(self, request: Callable[[], Any]) -> None:
-        def work() -> None:
-            self._thread = threading.current_thread()
-            try:
-                self._answer.set_result(request())
-            except Exception as error:
-                self._answer.set_exception(error)
-
-        in_thread(work)
-        wait_for(self.is_planning)
+        self._answer = ThreadPoolExecutor(1).submit(ask)
+        wait_for(is_planning)
 
     def result(self) -> Any:
-        self.may_answer.set()
+        self._may_answer.set()
         return self._answer.result(PATIENCE)
 
 
@@ -272,8 +267,8 @@ def test_a_stream_is_repaired_while_a_client_waits_for_a_plan(
 ) -> None:
     lost = field.acquire("YUV(field)").claim
     other = field.acquire("Planes(field)", exclude=("ceiling camera",)).claim
-    slow = Slow(monkeypatch, "bindings" if ask == "find bindings" else "plan")
-    slow.start(lambda: ASKS[ask](field, other.claim_id))
+    method = "bindings" if ask == "find bindings" else "plan"
+    slow = Slow(monkeypatch, lambda: ASKS[ask](field, other.claim_id), method)
     field.host.vanish(lost.goal[0])
     field.tick()
     assert field.state(lost.claim_id) is ClaimState.ACTIVE
@@ -286,8 +281,7 @@ def test_a_plan_is_made_again_if_what_it_uses_has_gone(
     field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = field.acquire("YUV(field)").claim
-    slow = Slow(monkeypatch, "plan")
-    slow.start(field.acquire)
+    slow = Slow(monkeypatch, field.acquire)
     field.manager.remove_transformation("bottom camera")
     field.host.vanish(camera.goal[0])
     field.tick()
@@ -300,8 +294,7 @@ def test_a_plan_is_made_again_if_what_it_uses_has_gone(
 
 def test_a_refusal_is_checked_too(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
     field.manager.remove_transformation("localization")
-    slow = Slow(monkeypatch, "plan")
-    slow.start(field.acquire)
+    slow = Slow(monkeypatch, field.acquire)
     field.manager.add_transformation(LIBRARY)
     assert slow.result().claim.state is ClaimState.ACTIVE
 

@@ -9,10 +9,12 @@ import contextlib
 import json
 import threading
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Iterator, List
+from typing import Iterator, List, Optional
 
 import pytest
+from clocks import HandClock, in_thread, join
 from faulty_disk import kept_aside
 from unit.manager.field import Field
 
@@ -35,11 +37,11 @@ from dyknow.model.streams import ClaimState, StreamRequest
 
 
 def table() -> ClaimTable:
-    return ClaimTable(Store(":memory:"), lambda: 0.0, lambda: 0.0)
+    return ClaimTable(Store(":memory:"), HandClock(), HandClock())
 
 
-def active(claim_id: str) -> Claim:
-    return Claim(claim_id, StreamRequest("A"), "/a", state=ClaimState.ACTIVE)
+def active(claim_id: str, lease: float = 0.0) -> Claim:
+    return Claim(claim_id, StreamRequest("A", lease=lease), "/a", state=ClaimState.ACTIVE)
 
 
 def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -> None:
@@ -55,15 +57,11 @@ def test_each_event_begins_where_the_one_before_ended_whoever_changes_claims() -
     claims.events.listener = listen
     claims.add(active("a"), "requested")
 
-    def work(name: str) -> None:
+    def work() -> None:
         for number in range(200):
-            claims.change("a", "again", detail=f"{name} {number}")
+            claims.change("a", "again", detail=f"{threading.get_ident()} {number}")
 
-    threads = [threading.Thread(target=work, args=(name,)) for name in "xyz"]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60.0)
+    join(*[in_thread(work) for _ in range(3)])
     claims.end("a", ClaimState.RELEASED, "released")
     assert len(events) == 602
     for before, after in zip(events[1:], events[2:]):
@@ -87,68 +85,66 @@ def test_a_listener_that_raises_does_not_silence_the_others() -> None:
     assert told == ["", "bad", "good"]
 
 
+class Leases:
+    """Two claims with leases of 10 s, and the clocks of their manager."""
+
+    def __init__(self) -> None:
+        self.steady, self.running = HandClock(), HandClock()
+        self.store = Store(":memory:")
+        self.start()
+        self.table.add(active("left", 10.0), "requested")
+        self.table.add(active("renewed", 10.0), "requested")
+
+    def start(self) -> None:
+        """Start a manager on what the store has."""
+        self.table = ClaimTable(self.store, self.steady, self.running)
+
+    def pass_time(self, seconds: float, running: Optional[float] = None) -> None:
+        """Let time pass, for which the manager runs as a whole or in part; it looks at the end."""
+        self.steady.time += seconds
+        self.running.time += seconds if running is None else running
+        self.table.expire_late()
+
+
 def test_a_lease_that_ended_while_the_manager_was_stopped_can_still_be_renewed() -> None:
-    steady, running = [0.0], [0.0]
-    claims = ClaimTable(Store(":memory:"), lambda: steady[0], lambda: running[0])
-    for claim_id in ("left", "renewed"):
-        request = StreamRequest("A", lease=10.0)
-        claims.add(Claim(claim_id, request, "/a", state=ClaimState.ACTIVE), "requested")
-    steady[0] = 30.0  # it was stopped
-    running[0] = 0.3
-    claims.expire_late()
-    claims.renew("renewed", 10.0)
+    leases = Leases()
+    leases.pass_time(30.0, running=0.3)
+    leases.table.renew("renewed", 10.0)
     for _ in range(4):
-        steady[0] += 1.0
-        running[0] += 1.0
-        claims.expire_late()
-    assert [each.claim_id for each in claims.living] == ["renewed"]
+        leases.pass_time(1.0)
+    assert [each.claim_id for each in leases.table.living] == ["renewed"]
 
 
-def test_a_lease_that_ended_without_a_manager_can_still_be_renewed(
-    tmp_path: Path,
-) -> None:
-    now, stopped = [0.0], [0.0]
-    with closing(Store(str(tmp_path / "state"))) as store:
-        claims = ClaimTable(store, lambda: now[0], lambda: now[0])
-        for claim_id in ("left", "renewed"):
-            request = StreamRequest("A", lease=30.0)
-            claims.add(Claim(claim_id, request, "/a", state=ClaimState.ACTIVE), "requested")
-    now[0] = 100.0
-    with closing(Store(str(tmp_path / "state"))) as store:
-        claims = ClaimTable(store, lambda: now[0], lambda: now[0] - stopped[0])
-        claims.expire_late()
-        now[0] += 2.0
-        stopped[0] = 1.5
-        claims.expire_late()
-        now[0] += 8.5
-        claims.expire_late()
-        claims.renew("renewed", 30.0)
-        now[0] += 1.0
-        claims.expire_late()
-        assert [each.claim_id for each in claims.living] == ["renewed"]
+def test_a_lease_that_ended_without_a_manager_can_still_be_renewed() -> None:
+    leases = Leases()
+    leases.steady.time = leases.running.time = 100.0
+    leases.start()
+    leases.pass_time(0.0)
+    leases.pass_time(2.0, running=0.5)
+    leases.pass_time(8.5)
+    leases.table.renew("renewed", 10.0)
+    leases.pass_time(1.0)
+    assert [each.claim_id for each in leases.table.living] == ["renewed"]
 
 
 def test_a_lease_that_is_renewed_while_its_end_waits_is_not_ended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    now = [0.0]
-    claims = ClaimTable(Store(":memory:"), lambda: now[0], lambda: now[0])
-    claims.add(Claim("a", StreamRequest("A", lease=30.0), "/a"), "requested")
-    now[0] = 30.0
-    turn = claims._turn
+    leases = Leases()
+    claims, turn = leases.table, leases.table._turn
+    claims.end("left", ClaimState.RELEASED, "released")
 
     @contextlib.contextmanager
     def after_a_renewal() -> Iterator[None]:
         monkeypatch.setattr(claims, "_turn", turn)
-        claims.renew("a", 30.0)
+        claims.renew("renewed", 10.0)
         with turn:
             yield
 
     monkeypatch.setattr(claims, "_turn", after_a_renewal())
-    claims.expire_late()
-    assert [each.deadline for each in claims.living] == [60.0]
-    now[0] = 60.0
-    claims.expire_late()
+    leases.pass_time(10.0)
+    assert [each.deadline for each in claims.living] == [20.0]
+    leases.pass_time(10.0)
     assert not claims.living
 
 
@@ -156,14 +152,8 @@ def test_a_lease_that_is_renewed_while_its_end_waits_is_not_ended(
 
 
 WRITTEN = Moment(steady=1000.0, wall=50_000.0, boot="first")
-
-
-def left(now: Moment) -> float:
-    """Rest of a lease of ten seconds that was stored with eight left."""
-    claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=WRITTEN.steady + 8.0)
-    deadline = Claim.from_body("c", claim.body(WRITTEN), now).deadline
-    assert deadline is not None
-    return deadline - now.steady
+#: Its lease of ten seconds has eight left.
+LEASED = replace(active("c", 10.0), deadline=WRITTEN.steady + 8.0)
 
 
 @pytest.mark.parametrize(
@@ -180,12 +170,13 @@ def left(now: Moment) -> float:
     ],
 )
 def test_a_lease_goes_on_whatever_happened_to_the_clocks(now: Moment, expected: float) -> None:
-    assert left(now) == pytest.approx(expected)
+    deadline = Claim.from_body("c", LEASED.body(WRITTEN), now).deadline
+    assert deadline is not None
+    assert deadline - now.steady == pytest.approx(expected)
 
 
 def test_a_lease_that_was_written_without_its_moment_is_as_long_as_it_was() -> None:
-    claim = Claim("c", StreamRequest("T(a)", lease=10.0), deadline=1008.0)
-    body = json.loads(claim.body(WRITTEN))
+    body = json.loads(LEASED.body(WRITTEN))
     del body["written"]
     assert Claim.from_body("c", json.dumps(body), Moment(5.0, 1.0, "later")).deadline == 13.0
 
@@ -254,11 +245,6 @@ CLAIM = Claim(
 )
 
 
-def answers() -> StreamAnswers:
-    """Answers of a manager whose steady clock says 5 and whose clients' says 1000."""
-    return StreamAnswers(lambda: 1000.0, lambda: 5.0)
-
-
 @pytest.mark.parametrize(
     ("error", "result"),
     [
@@ -276,29 +262,24 @@ def test_each_cause_has_its_number(error: Exception, result: Result) -> None:
 
 
 def test_a_cause_is_found_behind_others() -> None:
-    try:
-        try:
-            raise PeerTimeout("load", 10.0)
-        except PeerTimeout as cause:
-            raise HostError("not up in time") from cause
-    except HostError as late:
-        wrapped = SpawnFailed("/a", late)
-        wrapped.__cause__ = late
+    late = HostError("not up in time")
+    late.__cause__ = PeerTimeout("load", 10.0)
+    wrapped = SpawnFailed("/a", late)
+    wrapped.__cause__ = late
     assert refusal_of(wrapped).result is Result.TIMEOUT
 
 
-def test_a_claim_is_shown_on_the_clock_of_its_clients() -> None:
-    shown = answers().status(CLAIM)
+def test_claims_and_events_are_shown_on_the_clock_of_the_clients() -> None:
+    """The steady clock of the manager says 5, that of the clients 1000."""
+    answers = StreamAnswers(lambda: 1000.0, lambda: 5.0)
+    shown = answers.status(CLAIM)
     assert (shown.claim_id, shown.client_id, shown.tag) == ("id", "me", "Position(ball)")
     assert (shown.topic, shown.datatype) == ("/position", "std_msgs/Header")
     assert (shown.state, shown.detail) == (ClaimState.ACTIVE, "why")
     assert shown.nodelets == ("/a", "/b")
     assert shown.expires == 1010.0
-
-
-def test_an_event_of_a_new_claim_has_nothing_before() -> None:
     events = [ClaimEvent(before, CLAIM, "requested") for before in (None, CLAIM)]
-    new, old = map(answers().event, events)
-    assert new.before is None
-    assert old.before == old.after == new.after
+    new, old = map(answers.event, events)
+    assert new.before is None, "of a new claim"
+    assert old.before == old.after == new.after == shown
     assert (new.reason, new.stamp) == ("requested", 1000.0)

@@ -14,7 +14,6 @@ from unit.manager.field import IMAGE, POINT, Field, library, transformation
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
 from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, SpawnRequest
-from dyknow.model.streams import ClaimState
 
 CAMERA = """<transformation type="node" node="/robot/camera"><label>driver</label>
   <ports><port type="out">image</port></ports>
@@ -77,15 +76,10 @@ def test_a_node_bears_the_label_and_tags_that_describe_it(robot: Robot) -> None:
     robot.manager.add_transformation(CAMERA)
     robot.manager.look()
     status = robot.manager.graph.get("/robot/camera").status
-    assert (status.transformation, status.kind, status.manager) == (
-        "driver",
-        NodeletKind.CPP_NODE,
-        "",
-    )
-    assert {port.name: port.tags for port in status.ports} == {
-        "image": ("YUV(field)",),
-        "camera_info": (),
-    }
+    shown = status.transformation, status.kind, status.manager
+    assert shown == ("driver", NodeletKind.CPP_NODE, "")
+    tags = {port.name: port.tags for port in status.ports}
+    assert tags == {"image": ("YUV(field)",), "camera_info": ()}
 
     robot.manager.add_transformation(CAMERA.replace("YUV(field)", "Raw(field)"))
     robot.manager.look()
@@ -125,25 +119,20 @@ def test_a_node_is_described_once(robot: Robot) -> None:
 def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) -> None:
     robot.manager.add_transformation(CAMERA)
     robot.run_camera()
-    acquired = robot.acquire("YUV(field)")
-    claim_id = acquired.claim.claim_id
-    assert (acquired.spawned, acquired.reused) == ((), ("/robot/camera",))
-    assert acquired.claim.topic == "/image"
-    robot.settle()
+    claim = robot.flowing("YUV(field)")
+    assert (claim.nodelets, claim.topic) == (("/robot/camera",), "/image")
+    assert robot.host.running == ["/robot/camera"]
 
     robot.end("/robot/camera")
     robot.settle()
-    claim = robot.claim(claim_id)
-    assert claim.state is ClaimState.ACTIVE
-    assert claim.nodelets == ("/bottom_camera_1",)
-    assert claim.topic == "/image"
-    assert "driver" not in robot.labels()
+    robot.check_flows(claim)
+    assert robot.labels() == ["bottom camera"]
 
     robot.run_camera()  # a user starts it again, on the topic that was taken over
     robot.settle()
     assert robot.topics("/robot/camera") == {"camera_info": "/info"}
 
-    robot.reconciler.release(claim_id)
+    robot.reconciler.release(claim.claim_id)
     robot.tidy()
 
 
@@ -157,13 +146,12 @@ def test_claims_keep_it_when_the_manager_is_killed(robot: Robot) -> None:
     robot.manager.remove_transformation("localization")
     robot.manager.add_transformation(LOCALIZATION)
     robot.run("/robot/where", "robot/where", {"position": "/position"})
-    claim = robot.acquire().claim
-    robot.settle()
+    claim = robot.flowing()
     robot.host.calls.clear()
     robot.kill_manager()
     robot.settle()
-    after = robot.claim(claim.claim_id)
-    assert (after.state, after.wiring) == (ClaimState.ACTIVE, claim.wiring)
+    robot.check_flows(claim)
+    assert robot.claim(claim.claim_id).wiring == claim.wiring
     assert not {"load", "unload", "connect"} & {operation for operation, _ in robot.host.calls}
 
 
@@ -196,15 +184,14 @@ def test_it_is_used_for_one_thing_beside_something_else(robot: Robot) -> None:
 
 def test_it_stays_on_its_topic_and_a_relay_brings_it_to_the_client(robot: Robot) -> None:
     robot.manager.add_transformation(CAMERA)
-    claim_id = robot.acquire("YUV(field)").claim.claim_id
+    claim = robot.flowing("YUV(field)")
     robot.run_camera()
     robot.settle()
     robot.manager.remove_transformation("bottom camera")
     robot.manager.remove_transformation("ceiling camera")
     robot.settle(5.0)
-    claim = robot.claim(claim_id)
-    assert claim.state is ClaimState.ACTIVE
-    assert "/robot/camera" in claim.nodelets
+    robot.check_flows(claim)
+    assert "/robot/camera" in robot.claim(claim.claim_id).nodelets
     assert robot.topics("/robot/camera")["image"] == "/image"
 
 

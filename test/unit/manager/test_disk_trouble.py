@@ -23,18 +23,14 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield disk
 
 
-def stored(world: World) -> dict[str, str]:
-    found = world.store.read("nodelets", Record.from_body)
-    return {name: record.state.name for name, record in found.items()}
-
-
 def written(world: World) -> dict[str, str]:
-    """The contents of the file once the disk has room again."""
+    """The states in the file once the disk has room again."""
     world.store.close()
     assert world.store.trouble == ""
     world.open()
     assert world.store.complaint == ""
-    return stored(world)
+    found = world.store.read("nodelets", Record.from_body)
+    return {name: record.state.name for name, record in found.items()}
 
 
 def test_a_manager_goes_on_while_its_disk_is_full(disk: Path) -> None:

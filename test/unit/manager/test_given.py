@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from typing import Dict, Tuple, Type
+from typing import Dict, Tuple
 
 import pytest
 from unit.manager.witness import Concepts
 from unit.manager.world import TRACKER, World
 
-from dyknow.errors import InvalidParameters, SpawnFailed
+from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.given import completed, set_on_load, undeclared
 from dyknow.manager.specifications.specification import parse
 from dyknow.manager.specifications.values import value_of
@@ -157,6 +157,9 @@ def world(tmp_path: object) -> World:
 
 
 def test_a_nodelet_keeps_what_it_was_given_for_life(world: World) -> None:
+    with pytest.raises(InvalidParameters):
+        world.spawn("tracker", "n")
+    assert (world.states(), world.host.parameters) == ({}, {})
     world.spawn("tracker", "n", parameters=GIVEN)
     set_ = {"/n/frame": "cam1_link", "/n/rate": 5}
     assert world.host.parameters == set_
@@ -176,15 +179,3 @@ def test_a_nodelet_keeps_what_it_was_given_for_life(world: World) -> None:
     assert world.manager.graph.get("/n").status.parameters == status.parameters
     world.manager.destroy("n")
     assert world.host.parameters == {}
-
-
-@pytest.mark.parametrize(
-    ("label", "parameters", "error"),
-    [("tracker", (), InvalidParameters), ("wrong ports", given(rate="5"), SpawnFailed)],
-)
-def test_nothing_is_left_of_one_that_does_not_come_up(
-    world: World, label: str, parameters: Tuple[Parameter, ...], error: Type[Exception]
-) -> None:
-    with pytest.raises(error):
-        world.spawn(label, "n", parameters=parameters)
-    assert (world.states(), world.host.parameters) == ({}, {})

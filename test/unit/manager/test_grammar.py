@@ -29,16 +29,13 @@ _VALUES = st.sampled_from(
 )
 # Of numbers the schema says the range; the reader leaves that to the builder.
 _NUMBERS = st.just("2.5")
+_BOOLEANS = st.sampled_from(["true", "false", "x"])
 ATTRIBUTES = st.fixed_dictionaries(
     {},
     optional={
-        **dict.fromkeys(["type", "name", "label", "port", "datatype", "other"], _VALUES),
-        **dict.fromkeys(["rate", "latency"], _NUMBERS),
-        **dict.fromkeys(["period", "hold", "delay", "max_nodes"], _NUMBERS),
-        **dict.fromkeys(
-            ["isolated", "exact", "initially"], st.sampled_from(["true", "false", "x"])
-        ),
-        "node": _VALUES,
+        **dict.fromkeys(["type", "name", "label", "port", "datatype", "node", "other"], _VALUES),
+        **dict.fromkeys(["rate", "latency", "period", "hold", "delay", "max_nodes"], _NUMBERS),
+        **dict.fromkeys(["isolated", "exact", "initially"], _BOOLEANS),
     },
 )
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Iterator
 
 import pytest
 from clocks import HandClock
@@ -17,7 +16,7 @@ from unit.manager.world import World
 from dyknow.errors import DyKnowError
 from dyknow.manager.hosts import HostTable
 from dyknow.manager.record import Record
-from dyknow.model.graph import NodeletKind, SpawnRequest
+from dyknow.model.graph import NodeletKind
 from dyknow.model.hosts import ClockOffset, HostStatus, Machine, pins
 from dyknow.simulated.host import FakeHost
 
@@ -165,12 +164,10 @@ def test_a_host_that_flaps_is_left_alone_for_a_growing_time() -> None:
     pauses = [life.absence() for _ in range(9)]
     assert pauses == [0.0, 15.0, 30.0, 60.0, 120.0, 240.0, 480.0, 600.0, 600.0]
     assert life.table.paused == {"rover"}
-    life.clock.time += 599.0
-    life.look()
-    assert life.table.paused == {"rover"}
-    life.clock.time += 1.0
-    life.look()
-    assert life.table.paused == frozenset()
+    for seconds, paused in ((599.0, {"rover"}), (1.0, set())):
+        life.clock.time += seconds
+        life.look()
+        assert life.table.paused == paused
     assert life.absence() == 0.0, "it was there for long enough"
 
 
@@ -224,16 +221,10 @@ def test_a_paused_host_is_used_where_there_is_no_other(world: World) -> None:
 # Claims
 
 
-@pytest.fixture
-def field() -> Iterator[Field]:
-    yield Field()
-
-
 def test_new_parts_of_a_claim_leave_a_host_that_flaps(field: Field) -> None:
     equip(field.host)
     field.settle()
-    field.manager.spawn(SpawnRequest("detector", "/busy", {}, manager="@scout"))
-    field.by_hand["/busy"] = True
+    field.spawn("detector", "/busy", manager="@scout")
     places = []
     for _ in range(3):
         claim_id = field.acquire("YUV(field)").claim.claim_id

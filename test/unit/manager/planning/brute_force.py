@@ -8,20 +8,17 @@ from __future__ import annotations
 import heapq
 import itertools
 from math import inf
-from typing import (
-    Dict,
-    Iterable,
-    Iterator,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-)
+from typing import Iterable, Iterator, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from dyknow.manager.planning.problem import NO_VERDICTS, Demand, Live, Plan, Verdicts
+from dyknow.manager.planning.problem import (
+    NO_VERDICTS,
+    NO_WISHES,
+    Demand,
+    Live,
+    Plan,
+    Verdicts,
+    Wishes,
+)
 from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -41,14 +38,15 @@ class Problem(NamedTuple):
         paused: labels of which no new nodelet is made.
     """
 
-    library: Tuple[Transformation, ...]
-    live: Tuple[Tuple[Live, Tuple[Term, ...]], ...]
+    library: tuple[Transformation, ...]
+    live: tuple[tuple[Live, tuple[Term, ...]], ...]
     exclude: frozenset[str]
     goal: Demand
     ontology: Subsumption
-    free: Tuple[Nodelet, ...] = ()
+    free: tuple[Nodelet, ...] = ()
     verdicts: Verdicts = NO_VERDICTS
     paused: frozenset[str] = frozenset()
+    wishes: Wishes = NO_WISHES
 
 
 class TooLarge(Exception):
@@ -62,21 +60,17 @@ class Instance(NamedTuple):
     bindings: Mapping[str, str]
 
 
-def tags_of(port: Port) -> List[Term]:
+def tags_of(port: Port) -> list[Term]:
     return [parse_tag(text) for text in port.tags]
 
 
-def tagged(transformation: Transformation, direction: str) -> List[Port]:
+def tagged(transformation: Transformation, direction: str) -> list[Port]:
     """Return the ports of a direction that have tags."""
     return [port for port in transformation.ports if port.direction == direction and port.tags]
 
 
-def variables_in(terms: Iterable[Term]) -> List[str]:
+def variables_in(terms: Iterable[Term]) -> list[str]:
     return sorted({arg for term in terms for arg in term.args if arg.startswith("?")})
-
-
-def variables_of(transformation: Transformation) -> List[str]:
-    return variables_in(term for port in transformation.ports for term in tags_of(port))
 
 
 def fits(
@@ -107,7 +101,7 @@ def fits(
     )
 
 
-def bound(terms: Sequence[Term], bindings: Mapping[str, str]) -> List[Term]:
+def bound(terms: Sequence[Term], bindings: Mapping[str, str]) -> list[Term]:
     return [Term(term.functor, tuple(bindings.get(a, a) for a in term.args)) for term in terms]
 
 
@@ -120,14 +114,14 @@ def is_typed(terms: Sequence[Term], bindings: Mapping[str, str], ontology: Subsu
     )
 
 
-def individuals(problem: Problem) -> List[str]:
+def individuals(problem: Problem) -> list[str]:
     """Return the names that are supplied, one of each entity."""
     terms = [term for _, tags in problem.live for term in tags]
     for each in problem.library:
         for port in each.ports:
             if port.direction == "out":
                 terms += tags_of(port)
-    names: Dict[str, str] = {}
+    names: dict[str, str] = {}
     for term in terms:
         for arg in term.args:
             if not arg.startswith("?"):
@@ -217,7 +211,7 @@ class Suppliers(NamedTuple):
     """
 
     mask: int
-    latencies: Dict[int, int]
+    latencies: dict[int, int]
     fast: int
     followers: int
 
@@ -236,8 +230,8 @@ class Instances(NamedTuple):
     """
 
     goal: Suppliers
-    needs: List[List[Suppliers]]
-    all: List[Instance]
+    needs: list[list[Suppliers]]
+    all: list[Instance]
 
     def latency(self, there: int) -> float:
         """Return when the goal is supplied with some instances, in microseconds."""
@@ -262,7 +256,74 @@ def least_cost(problem: Problem) -> Optional[int]:
     Raises:
         TooLarge: it was not found among the sets that were tried.
     """
-    return _cheapest_set(written_out(problem), problem)
+    every = written_out(problem)
+    goal, needs, instances = every
+    special = {label for label, _ in problem.free} | problem.paused
+    groups = [
+        (each.transformation.label, *[serves(free, each, problem) for free in problem.free])
+        if each.transformation.label in special
+        else None
+        for each in instances
+    ]
+    known: dict[tuple[int, ...], float] = {}
+    relevant = goal.mask
+    grown = True
+    while grown:
+        grown = False
+        for number, demands in enumerate(needs):
+            if relevant >> number & 2:
+                for demand in demands:
+                    grown |= bool(demand.mask & ~relevant)
+                    relevant |= demand.mask
+    numbers = [number for number in range(len(needs)) if relevant >> number & 2]
+    # Instances that need and supply the same are interchangeable: one of them will do.
+    alike: dict[tuple[object, ...], int] = {}
+    users = [demand for demands in [*needs, [goal]] for demand in demands]
+    kept = []
+    for number in numbers:
+        needed = tuple(
+            (tuple(sorted(each.latencies.items())), each.fast, each.followers)
+            for each in needs[number]
+        )
+        made = tuple(
+            (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
+            for each in users
+        )
+        key = instances[number].transformation.cost, needed, made, groups[number]
+        if key not in alike:
+            alike[key] = number
+            kept.append(number)
+    max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
+    #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
+    #: or that may not be made, and the cost of the rest.
+    heap: list[tuple[float, int, int, tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
+    seen: set[tuple[int, int]] = set()
+    while heap:
+        cost, there, quick, chosen, paid = heapq.heappop(heap)
+        if (there, quick) in seen:
+            continue
+        seen.add((there, quick))
+        if len(seen) > _MOST_SETS:
+            raise TooLarge
+        is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
+        if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
+            return int(cost)
+        for number in kept:
+            bit = 2 << number
+            if not there & bit and all(there & each.mask for each in needs[number]):
+                is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
+                more, plain = chosen, paid
+                if groups[number]:
+                    more = tuple(sorted((*chosen, number)))
+                else:
+                    plain += instances[number].transformation.cost
+                if more not in known:
+                    known[more] = cost_of([instances[each] for each in more], problem)
+                total = plain + known[more]
+                if total < inf:
+                    quicker = quick | bit if is_quick else quick
+                    heapq.heappush(heap, (total, there | bit, quicker, more, plain))
+    return None
 
 
 def least_latency(problem: Problem) -> float:
@@ -281,7 +342,7 @@ class Supplied(NamedTuple):
     latency: float
 
 
-def supplied(problem: Problem) -> List[Supplied]:
+def supplied(problem: Problem) -> list[Supplied]:
     """Write out the live streams and those that all instances would supply if they were made."""
     found = [
         Supplied(0, each.label, tags, each.datatype, each.rate, each.latency)
@@ -316,7 +377,7 @@ def written_out(problem: Problem) -> Instances:
     def suppliers(
         demanded: Sequence[Term], datatype: str, many: Iterable[Mapping[str, str]]
     ) -> Suppliers:
-        found: Dict[int, int] = {}
+        found: dict[int, int] = {}
         fast, followers = 0, 0
         for bindings in many:
             for number, _, tags, kind, rate, seconds in streams:
@@ -330,87 +391,13 @@ def written_out(problem: Problem) -> Instances:
         return Suppliers(sum(1 << number for number in found), found, fast, followers)
 
     return Instances(
-        suppliers(
-            goal,
-            problem.goal.datatype,
-            ways(goal, individuals(problem), problem.ontology),
-        ),
+        suppliers(goal, problem.goal.datatype, ways(goal, individuals(problem), problem.ontology)),
         [
             [suppliers(tags_of(port), port.datatype, [bindings]) for port in tagged(each, "in")]
             for each, bindings in every
         ],
         every,
     )
-
-
-def _cheapest_set(every: Instances, problem: Problem) -> Optional[int]:
-    goal, needs, instances = every
-    special = {label for label, _ in problem.free} | problem.paused
-    groups = [
-        (each.transformation.label, *[serves(free, each, problem) for free in problem.free])
-        if each.transformation.label in special
-        else None
-        for each in instances
-    ]
-    known: Dict[Tuple[int, ...], float] = {}
-    relevant = goal.mask
-    grown = True
-    while grown:
-        grown = False
-        for number, demands in enumerate(needs):
-            if relevant >> number & 2:
-                for demand in demands:
-                    grown |= bool(demand.mask & ~relevant)
-                    relevant |= demand.mask
-    numbers = [number for number in range(len(needs)) if relevant >> number & 2]
-    # Instances that need and supply the same are interchangeable: one of them will do.
-    alike: Dict[Tuple[object, ...], int] = {}
-    users = [demand for demands in [*needs, [goal]] for demand in demands]
-    kept = []
-    for number in numbers:
-        needed = tuple(
-            (tuple(sorted(each.latencies.items())), each.fast, each.followers)
-            for each in needs[number]
-        )
-        made = tuple(
-            (each.latencies.get(number + 1), each.fast >> number & 2, each.followers >> number & 2)
-            for each in users
-        )
-        key = instances[number].transformation.cost, needed, made, groups[number]
-        if key not in alike:
-            alike[key] = number
-            kept.append(number)
-    max_age, min_rate = problem.goal.max_age, problem.goal.min_rate
-    #: Cost, the instances, those all of whose inputs are fast, those that free nodelets may serve
-    #: or that may not be made, and the cost of the rest.
-    heap: List[Tuple[float, int, int, Tuple[int, ...], int]] = [(0, 1, 0, (), 0)]
-    seen: Set[Tuple[int, int]] = set()
-    while heap:
-        cost, there, quick, chosen, paid = heapq.heappop(heap)
-        if (there, quick) in seen:
-            continue
-        seen.add((there, quick))
-        if len(seen) > _MOST_SETS:
-            raise TooLarge
-        is_met = goal.is_fast(there, quick) if min_rate else there & goal.mask
-        if is_met and (not max_age or every.latency(there) <= round(max_age * 1e6)):
-            return int(cost)
-        for number in kept:
-            bit = 2 << number
-            if not there & bit and all(there & each.mask for each in needs[number]):
-                is_quick = min_rate and all(each.is_fast(there, quick) for each in needs[number])
-                more, plain = chosen, paid
-                if groups[number]:
-                    more = tuple(sorted((*chosen, number)))
-                else:
-                    plain += instances[number].transformation.cost
-                if more not in known:
-                    known[more] = cost_of([instances[each] for each in more], problem)
-                total = plain + known[more]
-                if total < inf:
-                    quicker = quick | bit if is_quick else quick
-                    heapq.heappush(heap, (total, there | bit, quicker, more, plain))
-    return None
 
 
 def assert_valid(plan: Plan, problem: Problem) -> None:
@@ -439,10 +426,9 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     for step in plan.steps:
         transformation = library[step.action.label]
         bindings = dict(step.bindings)
-        assert sorted(bindings) == variables_of(transformation) or not any(
-            port.direction == "in" for port in transformation.ports
-        )
         terms = [term for port in transformation.ports for term in tags_of(port)]
+        has_inputs = any(port.direction == "in" for port in transformation.ports)
+        assert sorted(bindings) == variables_in(terms) or not has_inputs
         assert is_typed(terms, bindings, ontology)
         ports = tagged(transformation, "in")
         assert [name for name, _ in step.inputs] == [port.name for port in ports]
@@ -454,4 +440,5 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
     assert is_typed(goal, dict(plan.bindings), ontology)
     check(plan.goal, goal, problem.goal.datatype, dict(plan.bindings))
     steps = [Instance(library[step.action.label], dict(step.bindings)) for step in plan.steps]
-    assert plan.cost == cost_of(steps, problem)
+    charges = [step.action.charge for step in plan.steps] + [charge for _, charge in plan.charges]
+    assert plan.cost == plan.total == cost_of(steps, problem) + sum(charges)

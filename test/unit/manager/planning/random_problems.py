@@ -12,7 +12,7 @@ import pytest
 from unit.manager.planning.brute_force import Problem, individuals, variables_in
 
 from dyknow.manager.planning import request
-from dyknow.manager.planning.problem import Demand, Live, Verdicts
+from dyknow.manager.planning.problem import Demand, Live, Verdicts, Wishes
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, Term, parse_tag
 from dyknow.model.transformation import Port, Requirement, Transformation
 
@@ -76,11 +76,7 @@ class _Writer:
         return self.chance.choice(self.names)
 
     def tag(
-        self,
-        variables: List[str],
-        share: float,
-        may_have_type: bool,
-        functors: Sequence[str] = (),
+        self, variables: List[str], share: float, may_have_type: bool, functors: Sequence[str] = ()
     ) -> str:
         functor = self.chance.choice(functors or self.functors)
         args = []
@@ -193,6 +189,16 @@ def with_verdicts(problem: Problem, seed: int) -> Problem:
     )
     library = tuple([each._replace(requires=required(each)) for each in problem.library])
     return problem._replace(library=library, verdicts=Verdicts(good, bad))
+
+
+def with_wishes(problem: Problem, seed: int) -> Problem:
+    """Let a client prefer and avoid some labels and concepts."""
+    chance = random.Random(seed)
+    names = [each.label for each in problem.library]
+    names += ["a", "b", "A", "B", "C", "D", "E", "K", "L"]
+    chosen = chance.sample(names, chance.choice([1, 2, 3]))
+    split = chance.randint(0, len(chosen))
+    return problem._replace(wishes=Wishes(tuple(chosen[:split]), tuple(chosen[split:])))
 
 
 def with_nodelets(problem: Problem, seed: int) -> Problem:

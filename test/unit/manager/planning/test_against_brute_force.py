@@ -19,15 +19,16 @@ from unit.manager.planning.brute_force import (
     least_latency,
     ways,
 )
+from unit.manager.planning.examples import planner_with
 from unit.manager.planning.random_problems import (
     look_up_by_name,
     random_problem,
     with_limits,
     with_nodelets,
     with_verdicts,
+    with_wishes,
 )
 
-from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import NO_VERDICTS, Answer, Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 from dyknow.model.transformation import Port, Transformation
@@ -36,32 +37,44 @@ _SHARE = 1_000
 
 
 def solve(problem: Problem, seed: int = 0) -> Answer:
-    """Plan by the count of steps alone, which no other process disturbs."""
     transformations = list(problem.library)
     random.Random(seed).shuffle(transformations)
-    planner = Planner(problem.ontology, clock=lambda: 0.0)
-    planner.add(transformations)
-    return planner.plan(
+    free: Dict[str, List[Bindings]] = {}
+    for label, kept in problem.free:
+        free.setdefault(label, []).append(kept)
+    return planner_with(transformations, problem.ontology).plan(
         problem.goal,
         problem.live,
         problem.exclude,
-        free_in(problem),
+        free,
         problem.paused,
         budget=1.0,
+        wishes=problem.wishes,
         verdicts=problem.verdicts,
     )
 
 
-def free_in(problem: Problem) -> Dict[str, List[Bindings]]:
-    found: Dict[str, List[Bindings]] = {}
-    for label, kept in problem.free:
-        found.setdefault(label, []).append(kept)
-    return found
+def charged(problem: Problem) -> Problem:
+    """Write charges into costs; live streams that are charged become transformations."""
+    planner = planner_with(problem.library, problem.ontology)
+    charges = planner.charges(problem.goal, problem.live, problem.exclude, problem.wishes)
+    library = [
+        each._replace(cost=each.cost + charges.get(each.label, 0)) for each in problem.library
+    ]
+    live = []
+    for number, (stream, terms) in enumerate(problem.live):
+        if stream.label in charges:
+            port = Port("out0", "out", stream.datatype, tuple(map(str, terms)))
+            cost = charges[stream.label]
+            library.append(Transformation(f"live{number}", "", cost=cost, ports=(port,)))
+        else:
+            live.append((stream, terms))
+    return problem._replace(library=tuple(library), live=tuple(live))
 
 
-#: Features of problems besides tags: limits that are stated and demanded, verdicts, or nodelets
-#: that are free, also with limits.
-KINDS = ("tags", "limits", "verdicts", "nodelets", "nodelets and limits")
+#: Features of problems besides tags: limits that are stated and demanded, verdicts, wishes, or
+#: nodelets that are free, also with limits.
+KINDS = ("tags", "limits", "verdicts", "wishes", "nodelets", "nodelets and limits")
 
 
 def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
@@ -74,11 +87,14 @@ def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]
         problem = with_nodelets(problem, seed)
     if kind == "verdicts":
         problem = with_verdicts(problem, seed)
+    if kind == "wishes":
+        problem = with_wishes(problem, seed)
     goal = problem.goal
     answer = solve(problem)
     assert solve(problem, 1) == answer, seed
+    priced = charged(problem) if kind == "wishes" else problem
     try:
-        expected = at_any_age = least_cost(problem)
+        expected = at_any_age = least_cost(priced)
         if goal.max_age:
             at_any_age = least_cost(problem._replace(goal=goal._replace(max_age=0.0)))
     except TooLarge:
@@ -105,6 +121,7 @@ def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]
         dearer=expected > at_any_age,
         bound=any(step.bindings for step in answer.steps),
         several=any(len(step.bindings) > 1 for step in answer.steps),
+        charged=any(step.action.charge for step in answer.steps) or bool(answer.charges),
         other="nodelets" in kind and expected != least_cost(_with_one_of_each(problem)),
     )
 
@@ -112,13 +129,6 @@ def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]
 def _with_one_of_each(problem: Problem) -> Problem:
     """Leave one free nodelet of each transformation."""
     return problem._replace(free=tuple(dict(problem.free).items()))
-
-
-def _is_served_twice(plan: Plan, problem: Problem) -> bool:
-    """Whether free nodelets of one transformation serve a plan under several bindings."""
-    free = [label for label, _ in problem.free]
-    served = [e.action.label for e in plan.steps if not e.action.cost and e.action.label in free]
-    return len({*served}) < len(served)
 
 
 def judge_all(seeds: range, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
@@ -136,6 +146,8 @@ def judge_all(seeds: range, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
         assert count["late"] > plans // 10
     elif kind == "verdicts":
         assert count["forbidden"] > len(seeds) // 50
+    elif kind == "wishes":
+        assert count["charged"] > plans // 6
     else:
         assert count["bound"] > plans // 4
         assert count["several"] > plans // 12
@@ -210,9 +222,9 @@ def test_each_nodelet_that_is_free_saves_the_cost_of_one() -> None:
             continue
         assert_valid(answer, problem)
         assert answer.cost == answer.least_cost == expected, seed
-        twice += _is_served_twice(answer, problem)
-        used = [each for each in answer.steps if each.action.label == "rectifier"]
-        dearer += any(each.action.cost for each in used)
+        costs = [step.action.cost for step in answer.steps if step.action.label == "rectifier"]
+        twice += costs.count(0) > 1
+        dearer += any(costs)
     assert twice > 60 and dearer > 40 and none > 10
 
 
@@ -222,8 +234,8 @@ def test_what_the_variables_of_a_demand_can_stand_for() -> None:
     for seed in range(_SHARE // 4):
         problem = random_problem(seed)
         tags, canonical = list(problem.goal.tags), problem.ontology.canonical
-        planner = Planner(problem.ontology, clock=lambda: 0.0)
-        planner.add(each for each in problem.library if each.label not in problem.exclude)
+        usable = [each for each in problem.library if each.label not in problem.exclude]
+        planner = planner_with(usable, problem.ontology)
         live = [each for each in problem.live if each[0].label not in problem.exclude]
         names = [name for name in individuals(problem) if name.islower()]
         expected = set()
