@@ -263,7 +263,7 @@ class Place:
 
     def __init__(self, runtime):
         self.loader = Loader(runtime, lambda name, _: Idle, on_unloaded=self.unloaded)
-        self.bonds = FakeBonds()
+        self.bonds: Any = FakeBonds()
         self.bonded = BondedNodelets(
             self.bonds, lambda context: self.loader.unload(context.name, context)
         )
