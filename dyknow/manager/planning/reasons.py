@@ -221,6 +221,9 @@ def _lacking(
             return None
     known = dict(zip(demand.pattern.wanted, demand.known))
     bound = {each: name for each, name in known.items() if isinstance(name, str)}
+    for variable, limit in known.items():
+        if isinstance(limit, frozenset) and len(limit) == 1 and [*limit] == [*names.below(limit)]:
+            bound[variable] = next(iter(limit))  # an individual: nothing else is that
     own: dict[int, str] = {}  # of the action
     arguments = [args for one, other in pairs for args in zip(one, other)]
     for have, want in arguments * 2:  # at first not all that are the same are known
@@ -236,14 +239,14 @@ def _lacking(
         if isinstance(have, int) and name is not None:
             own[have] = name
     for variable in {have for have, _ in arguments if isinstance(have, int)}:
-        needed = action.types[variable].union(
-            [want for have, want in arguments if have == variable and isinstance(want, str)]
-        )
+        demanded = [each for have, each in arguments if have == variable and isinstance(each, str)]
+        needed = action.types[variable].union(demanded)
         if variable in own:
             if not names.fits(own[variable], needed):
                 return None
         elif needed and not names.below(needed):
-            return None
+            if not any(names.fits(each, needed) for each in demanded):
+                return None
     lacking: dict[str, Types] = {}
     for variable, name in bound.items():
         more = known.get(variable)

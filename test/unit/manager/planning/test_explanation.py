@@ -12,7 +12,7 @@ import random
 import re
 import shutil
 import subprocess
-from typing import Set
+from typing import Sequence, Set
 
 import pytest
 from unit.manager.field import GOAL, Field
@@ -145,10 +145,20 @@ def named(cause: str) -> Set[str]:
     return {*re.sub(r" and \d+ more$", "", listed).split(", ")}
 
 
-@pytest.mark.parametrize("count", [600, pytest.param(1_500, marks=pytest.mark.long)])
-def test_refusals_state_no_falsehood(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+#: Problems whose refusals were wrong once.
+ONCE_WRONG = (2253, 2681, 3615, 9732)
+
+
+@pytest.mark.parametrize(
+    "seeds",
+    [(*range(600), *ONCE_WRONG), pytest.param(range(20_000), marks=pytest.mark.long)],
+    ids=("some", "many"),
+)
+def test_refusals_state_no_falsehood(
+    monkeypatch: pytest.MonkeyPatch, seeds: Sequence[int]
+) -> None:
     missing = excluded = typed = of_datatypes = slow = 0
-    for seed in range(count):
+    for seed in seeds:
         look_up_by_name(monkeypatch, seed)
         problem = with_limits(random_problem(seed), seed)
         labels = [each.label for each in problem.library]
@@ -178,7 +188,7 @@ def test_refusals_state_no_falsehood(monkeypatch: pytest.MonkeyPatch, count: int
                     assert named(cause) <= problem.exclude, (seed, cause)
                 elif "Hz" in cause:
                     slow += 1
-                    assert not supplies(fast, wanted, problem), (seed, cause)
+                    assert not (is_written and supplies(fast, wanted, problem)), (seed, cause)
                 elif "has to be" in cause:
                     assert " and a " in cause
                 elif "it is a " in cause:
