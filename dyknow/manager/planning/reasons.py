@@ -239,14 +239,13 @@ def _lacking(
         if isinstance(have, int) and name is not None:
             own[have] = name
     for variable in {have for have, _ in arguments if isinstance(have, int)}:
-        demanded = [each for have, each in arguments if have == variable and isinstance(each, str)]
-        needed = action.types[variable].union(demanded)
+        said = [each for have, each in arguments if have == variable and isinstance(each, str)]
+        needed = action.types[variable].union(said)
         if variable in own:
             if not names.fits(own[variable], needed):
                 return None
-        elif needed and not names.below(needed):
-            if not any(names.fits(each, needed) for each in demanded):
-                return None
+        elif needed and not (names.below(needed) or any(names.fits(e, needed) for e in said)):
+            return None
     lacking: dict[str, Types] = {}
     for variable, name in bound.items():
         more = known.get(variable)

@@ -13,9 +13,9 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from functools import partial
+from functools import lru_cache, partial
 from operator import attrgetter
-from typing import Any, Mapping, Sequence, TypeVar
+from typing import Any, Callable, Mapping, Sequence, TypeVar
 
 from dyknow_msgs import msg, srv
 from genpy import Duration, Time, TVal
@@ -37,6 +37,7 @@ from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
 
 T = TypeVar("T")
 
+_ABSENT = object()
 #: Begins the types of messages that are in others.
 _OURS = "dyknow_msgs/"
 #: Prefix of the lines of an answer to ``acquire_stream`` that are warnings.
@@ -45,61 +46,78 @@ _WARNING = "warning: "
 _SECONDS = {"duration": (Duration, 2**31), "time": (Time, 2**32)}
 
 
-def _message(message_class: type[Any], value: object, /, **fields: object) -> Any:
+def _message(message_class: Any, value: object, /, **fields: object) -> Any:
     """Make a message from ``fields``, and the rest from the attributes of a value.
 
     An unknown one, of None, is a NaN in a message, or else 0 or empty.
     """
-    for name, kind in zip(message_class.__slots__, message_class._slot_types):
-        if name in fields or not hasattr(value, name):
-            continue
-        attribute = getattr(value, name)
-        if attribute is not None:
-            fields[name] = _field(name, kind, attribute)
-        elif kind.startswith("float"):
-            fields[name] = math.nan
+    for name, unknown, convert in _converters(message_class):
+        if name not in fields:
+            attribute = getattr(value, name, _ABSENT)
+            if attribute is None:
+                fields.update(unknown)
+            elif attribute is not _ABSENT:
+                fields[name] = convert(attribute)
     return message_class(**fields)
 
 
-def _field(name: str, kind: str, value: Any) -> Any:
+@lru_cache(maxsize=None)
+def _converters(
+    message_class: Any,
+) -> list[tuple[str, Mapping[str, float], Callable[[Any], object]]]:
+    """List the names of the fields, each with the field if it is unknown, and its conversion."""
+    return [
+        (name, {name: math.nan} if kind.startswith("float") else {}, _converter(name, kind))
+        for name, kind in zip(message_class.__slots__, message_class._slot_types)
+    ]
+
+
+def _converter(name: str, kind: str) -> Callable[[Any], object]:
+    """Return the conversion of attributes to a field of a type."""
     if name == "direction":
-        return direction_message(value)
+        return direction_message
     if kind == f"{_OURS}Parameter[]":
-        return [msg.Parameter(*each) for each in value]
+        return lambda value: [msg.Parameter(*each) for each in value]
     if kind == f"{_OURS}PortConfig[]":
-        return config_message(value)
+        return config_message
     if kind.startswith(_OURS):
         class_name, is_list, _ = kind[len(_OURS) :].partition("[")
         make = partial(_message, getattr(msg, class_name))
-        return list(map(make, value)) if is_list else make(value)
-    if kind in _SECONDS:
-        time_class, end = _SECONDS[kind]
-        if not abs(value) < end:
-            raise BadParameter(name, value, f"seconds below {end}")
-        return time_class.from_sec(value)
+        return (lambda value: list(map(make, value))) if is_list else make
+    return partial(_time, name, *_SECONDS[kind]) if kind in _SECONDS else _plain
+
+
+def _time(name: str, time_class: type[TVal], end: int, seconds: float) -> TVal:
+    if not abs(seconds) < end:
+        raise BadParameter(name, seconds, f"seconds below {end}")
+    return time_class.from_sec(seconds)
+
+
+def _plain(value: object) -> object:
     if isinstance(value, enum.Enum):
         return value.value
     return list(value) if isinstance(value, tuple) else value
 
 
-def _value(value_class: type[T], message: Any, /, **attributes: object) -> T:
+def _value(value_class: Callable[..., T], message: Any, /, **attributes: object) -> T:
     """Make a value from ``attributes``, and the rest from the fields of a message."""
-    names = getattr(value_class, "_fields", None) or [
-        each.name
-        for each in dataclasses.fields(value_class)  # type: ignore[arg-type]
-    ]
-    for name in names:
-        if name not in attributes and hasattr(message, name):
-            is_direction = name == "direction"
-            field = getattr(message, name)
-            attributes[name] = direction_from(message) if is_direction else _attribute(field)
+    for name in _names(value_class):
+        if name not in attributes:
+            field = getattr(message, name, _ABSENT)
+            if name == "direction":
+                attributes[name] = direction_from(message)
+            elif isinstance(field, TVal):
+                attributes[name] = field.to_sec()
+            elif field is not _ABSENT:
+                attributes[name] = tuple(field) if isinstance(field, list) else field
     return value_class(**attributes)
 
 
-def _attribute(field: Any) -> Any:
-    if isinstance(field, TVal):
-        return field.to_sec()
-    return tuple(field) if isinstance(field, list) else field
+@lru_cache(maxsize=None)
+def _names(value_class: Any) -> Sequence[str]:
+    """List the names of the attributes that make a value."""
+    named = getattr(value_class, "_fields", None)
+    return named or [each.name for each in dataclasses.fields(value_class)]
 
 
 # Ports and where they are connected
