@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Optional, Tuple
+
+import pytest
 
 from dyknow.periodic import Clock
 from dyknow.simulated import SimulatedClock
@@ -40,6 +42,18 @@ def join(*threads: threading.Thread) -> None:
     for thread in threads:
         thread.join(PATIENCE)
         assert not thread.is_alive(), "a thread has not ended"
+
+
+def patch_here(
+    patch: pytest.MonkeyPatch, owner: Any, name: str, instead: Callable[..., object]
+) -> None:
+    """Replace a function for this thread alone: threads of earlier tests go on with theirs."""
+    real, here = getattr(owner, name), threading.get_ident()
+
+    def called(*args: Any, **kwds: Any) -> object:
+        return (instead if threading.get_ident() == here else real)(*args, **kwds)
+
+    patch.setattr(owner, name, called)
 
 
 class Gate:

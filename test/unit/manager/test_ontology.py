@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Callable, List, Tuple
 
 import pytest
+from clocks import patch_here
 
 from dyknow.errors import (
     IndividualsError,
@@ -364,7 +365,7 @@ def test_nothing_is_fetched_and_no_other_file_is_read(
         raise AssertionError("a socket was opened")
 
     for name in ("socket", "create_connection", "getaddrinfo"):
-        monkeypatch.setattr(socket, name, refuse)
+        patch_here(monkeypatch, socket, name, refuse)
 
     assert Ontology([str(path)]).individuals("http://example.org/C") == ("cam1",)
 

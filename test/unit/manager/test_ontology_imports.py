@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
+from clocks import patch_here
 from unit.manager.test_ontology import BASE, FIRST_LINE, PREFIXES
 
 from dyknow.errors import OntologyFileError
@@ -26,7 +27,7 @@ def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a socket was opened")
 
     for name in ("socket", "create_connection", "getaddrinfo"):
-        monkeypatch.setattr(socket, name, refuse)
+        patch_here(monkeypatch, socket, name, refuse)
 
 
 def ontology(name: str, *imports: str, text: str = "") -> str:

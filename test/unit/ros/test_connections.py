@@ -15,7 +15,7 @@ from typing import Any, Tuple
 
 import pytest
 import rosgraph.network
-from clocks import PATIENCE, HandClock
+from clocks import PATIENCE, HandClock, patch_here
 from std_msgs.msg import String, UInt32
 from unit.ros.small_graph import SmallManager, small_graph
 
@@ -128,7 +128,7 @@ def test_all_addresses_of_a_host_say_whether_it_is_there(monkeypatch, failures, 
     def fail(address, timeout):
         raise left.pop(0)
 
-    monkeypatch.setattr(socket, "create_connection", fail)
+    patch_here(monkeypatch, socket, "create_connection", fail)
     found = ("192.0.2.1",) * len(failures)
     monkeypatch.setattr("dyknow.ros.wire.addresses.ADDRESSES", Addresses(lambda host: found))
     with pytest.raises(raised) as caught:

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 import rospy.topics
-from clocks import eventually
+from clocks import eventually, patch_here
 from rospy.impl import paramserver, tcpros_base
 from std_msgs.msg import Header
 
@@ -134,7 +134,7 @@ def test_the_server_outlives_a_lack_of_descriptors(monkeypatch):
     def refuse(*unused):
         raise OSError(errno.EMFILE, "full")
 
-    monkeypatch.setattr(os, "open", refuse)
+    patch_here(monkeypatch, os, "open", refuse)
     with pytest.raises(socket.timeout):  # without a spare one the peer waits
         descriptors.PatientSocket(exhausted).accept()
 

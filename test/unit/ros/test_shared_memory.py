@@ -24,7 +24,7 @@ import pytest
 import rosgraph.network
 import rospy
 import rospy.msg
-from clocks import eventually
+from clocks import eventually, patch_here
 from hypothesis import given
 from hypothesis import strategies as st
 from property_tests import examples
@@ -150,7 +150,7 @@ def test_where_memory_is_lacking_nothing_is_written_and_nothing_is_lost(arena, m
         raise OSError(errno.ENOSPC, "no space")
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "posix_fallocate", is_full)
+        patch_here(patch, os, "posix_fallocate", is_full)
         assert arena.write(bytes(MB)) is None
     reader = ArenaReader(arena.address)
     assert copy(reader, kept) == b"kept" * MB
