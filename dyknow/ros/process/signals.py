@@ -33,8 +33,24 @@ INTERRUPTED = 130
 #: Signals that end a command as SIGINT does, from a supervisor and from a terminal that is closed.
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.05  # s
-#: Set when `raise_interrupt` raises; cleared by the next `sigint`.
+#: Set when `raise_interrupt` raises; cleared when that is seen, and at the end of `sigint`.
 _raised = threading.Event()
+
+
+class _Interrupt(KeyboardInterrupt):
+    """Ends a command. One that does not reach our code is sent again.
+
+    Python drops, without a word, what is raised in a method that a finalizer in C calls, such as
+    ``close`` of an answer of ``http.client``.
+    """
+
+    def __del__(self) -> None:
+        if signal.getsignal(signal.SIGINT) is not raise_interrupt:
+            return  # it has left `sigint`
+        trace = self.__traceback__
+        # The first frame of its trace is the last one that it has come to.
+        if trace is None or not trace.tb_frame.f_globals.get("__name__", "").startswith("dyknow"):
+            _send_again(signal.SIGINT, _raised.is_set)
 
 
 def raise_interrupt(number: int, frame: Any) -> None:
@@ -46,24 +62,31 @@ def raise_interrupt(number: int, frame: Any) -> None:
     """
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            # A thread of ``threading`` takes a lock that the interrupted code may hold.
-            _thread.start_new_thread(_send_again, (threading.get_ident(), number))
+            _send_again(number)
             return
         frame = frame.f_back
     if number != signal.SIGINT:
         signal.signal(number, signal.SIG_IGN)
     _raised.set()
-    raise KeyboardInterrupt
+    raise _Interrupt
 
 
-def _send_again(thread: int, number: int) -> None:
+def _send_again(number: int, is_wanted: Callable[[], bool] = lambda: True) -> None:
+    """Send a signal to this thread again, a little later, if it is wanted then."""
+    # A thread of ``threading`` takes a lock that the interrupted code may hold.
+    _thread.start_new_thread(_send, (threading.get_ident(), number, is_wanted))
+
+
+def _send(thread: int, number: int, is_wanted: Callable[[], bool]) -> None:
     time.sleep(_AGAIN)
-    signal.pthread_kill(thread, number)
+    if is_wanted():
+        signal.pthread_kill(thread, number)
 
 
 def raise_swallowed() -> None:
     """Raise KeyboardInterrupt again if a library has caught one that a signal raised."""
     if _raised.is_set():
+        _raised.clear()
         raise KeyboardInterrupt
 
 
@@ -78,6 +101,7 @@ def sigint(handler: Any, *others: int) -> Iterator[None]:
             signal.signal(number, handler)
         yield
     finally:
+        _raised.clear()
         for number, before in former.items():
             signal.signal(number, before)
 

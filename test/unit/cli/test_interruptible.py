@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -100,6 +102,20 @@ def test_sigint_does_what_it_did_when_a_program_is_done():
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
     with sigint(signal.SIG_IGN), sigint(raise_interrupt):
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+class Answer(io.RawIOBase):
+    """Interrupted when its finalizer, which is one in C, closes it; as `http.client`'s may be."""
+
+    def close(self):
+        super().close()
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_that_a_finalizer_drops_comes_again():
+    with pytest.raises(KeyboardInterrupt), sigint(raise_interrupt):
+        Answer()
+        time.sleep(PATIENCE)
 
 
 @pytest.mark.parametrize("number", ENDING)
