@@ -8,11 +8,11 @@ from __future__ import annotations
 import collections
 import gc
 import sys
-import threading
 from types import FrameType
 from typing import Any, Counter, List, Set
 
 import pytest
+from clocks import patch_here
 from unit.manager.field import LIBRARY, Field, library, specification
 
 from dyknow.errors import NoPlanFound
@@ -44,16 +44,15 @@ def client_with_chain(length: int) -> SimulatedManagerClient:
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> List[str]:
-    """Count the calls of a method in this thread from now on: earlier tests leave threads."""
+    """Count the calls of a method in this thread from now on."""
     found: List[str] = []
-    method, here = getattr(owner, name), threading.get_ident()
+    method = getattr(owner, name)
 
-    def called(self: Any, *args: Any, **kwds: Any) -> Any:
-        if threading.get_ident() == here:
-            found.append(name)
-        return method(self, *args, **kwds)
+    def called(*args: Any, **kwds: Any) -> Any:
+        found.append(name)
+        return method(*args, **kwds)
 
-    monkeypatch.setattr(owner, name, called)
+    patch_here(monkeypatch, owner, name, called)
     return found
 
 
