@@ -80,7 +80,8 @@ def endless(formula: tree.Node) -> Tuple[tree.Node, Tuple[int, ...]]:
     """Return a formula without an outermost ``always`` or ``eventually`` that has no bounds.
 
     It is about the whole sequence: once it is decided, all later states agree. So the same
-    operator looks back, and one of its truths is a verdict. The truths that are are returned, too.
+    operator looks back, and one of its truths is a verdict. The second value has the truths that
+    are verdicts.
     """
     if not (isinstance(formula, tree.Unary) and tree.is_endless(formula)):
         return formula, (FALSE, UNKNOWN, TRUE)
