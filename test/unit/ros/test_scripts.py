@@ -272,7 +272,6 @@ def test_an_unload_frees_a_script_and_so_does_its_failure(scripts, block, kind):
     eventually(lambda: block() is None)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # SystemExit
 def test_a_thread_that_does_not_end_keeps_its_modules(scripts, block):
     scripts.load(BLOCK + LATE)
     scripts.unload()
