@@ -87,14 +87,14 @@ def test_only_parts_that_have_changed_go_to_graphviz(qtbot, script, tmp_path):
     log = tmp_path / "log"
     watched = Watched(script(f"tee -a {log} | exec dot $@"))
     watched.lay_out(chains(3))
-    until(qtbot, lambda: watched.drawings)
+    until(qtbot, lambda: watched.layouter.is_idle)
     log.write_text("")
     watched.lay_out(chains(4))
-    until(qtbot, lambda: len(watched.drawings) == 2)
+    until(qtbot, lambda: watched.layouter.is_idle)
     assert "/chain3/n0" in log.read_text() and "/chain2/n0" not in log.read_text()
     log.unlink()
     watched.lay_out(chains(2), anew=True)
-    until(qtbot, lambda: len(watched.drawings) == 3)
+    until(qtbot, lambda: watched.layouter.is_idle)
     assert watched.drawings[-1].is_anew and not log.exists()
     watched.layouter.close()
 
