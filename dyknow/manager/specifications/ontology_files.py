@@ -245,7 +245,9 @@ def _parse(path: str, limits: SpecificationLimits) -> OntologyFile:
         # Given bytes instead of a location, rdflib has nothing to fetch.
         graph.parse(data=data, format=kind, publicID=Path(path).absolute().as_uri())
     except RecursionError as error:
-        raise OntologyFileError(path, "nests too deeply; expected flatter expressions") from error
+        raise OntologyFileError(
+            path, "nests too deeply; expected flatter expressions and shorter lists"
+        ) from error
     except Exception as error:  # the exceptions of rdflib's parsers have no common base
         reason = " ".join(str(error).split())
         raise OntologyFileError(path, f"is not valid {kind}: {reason[:300]}") from error

@@ -124,9 +124,12 @@ def chains(count: int) -> Iterator[str]:
 
 
 def wide(count: int) -> Iterator[str]:
-    """A union and an intersection of many classes."""
-    members = " ".join(f":P{n}" for n in range(count))
-    yield f":U owl:unionOf ( {members} ) . :I owl:intersectionOf ( {members} ) ."
+    """A union and an intersection of many classes, too many for rdflib 4 as `( ... )`."""
+    for word, whole in (("unionOf", "U"), ("intersectionOf", "I")):
+        yield f":{whole} owl:{word} _:{whole}0 ."
+        for n in range(count):
+            rest = f"_:{whole}{n + 1}" if n + 1 < count else "rdf:nil"
+            yield f"_:{whole}{n} rdf:first :P{n} ; rdf:rest {rest} ."
     yield ":x a :I . :y a :P7 ."
 
 
