@@ -103,7 +103,7 @@ class LookAhead:
 
     def _forget(self) -> None:
         """Drop the bits that no open state depends on."""
-        count = self._first - self._reach
+        count = min(self._first - self._reach, *self._known)
         for each in self._recalled:
             count = min(count, self._states - self._horizon - each.reach)
         if count <= 0:

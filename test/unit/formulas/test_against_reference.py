@@ -180,35 +180,41 @@ def test_individuals_that_come_and_go(seed: int) -> None:
     dice = random.Random(seed)
     operand = random_formula(dice, dice.randint(0, 2), "p", 3)
     quantified = Quantified(dice.choice(["every", "some"]), "?x", "", operand)
-    whole = random_formula(dice, dice.randint(0, 2), "q", 3)
+    whole = random_formula(dice, dice.randint(0, 2), dice.choice(["q", "qr"]), 3)
     text = str(whole).replace("q", f"({quantified})")
     names = ["a", "b", "c"]
     count = dice.randint(2, 12)
     present = [[name for name in names if dice.random() < 0.6] for _ in range(count)]
     values = [{name: dice.choice([True, False, None]) for name in names} for _ in range(count)]
+    shared: List[State] = [{"r": dice.choice([True, False, None])} for _ in range(count)]
 
     formula = dyknow.formulas.parse(text)
     monitor = formula.monitor(1.0, hold=0.0, delay=0.0)
     verdicts = []
     for state in range(count):
         verdicts += monitor.individuals("?x", present[state], float(state))
-        for name in present[state]:
+        for name in present[state] if "p" in formula.ports else ():
             if values[state][name] is not None:
                 verdicts += monitor.feed("p", values[state][name], float(state), name)
+        if "r" in formula.ports and shared[state]["r"] is not None:
+            verdicts += monitor.feed("r", shared[state]["r"], float(state))
     verdicts += monitor.advance(count - 0.5)
     verdicts += monitor.finish()
     assert [int(each.value) for each in verdicts] == [
-        VERDICTS[each] for each in of_individuals(formula.tree, present, values, count)
+        VERDICTS[each] for each in of_individuals(formula.tree, present, values, shared)
     ]
 
 
 def of_individuals(
-    formula: Node, present: List[List[str]], values: List[Dict[str, Any]], count: int
+    formula: Node,
+    present: List[List[str]],
+    values: List[Dict[str, Any]],
+    shared: List[State],
 ) -> List[int]:
     """Truths of states; an individual has states from its arrival on, until it goes."""
     lives: Dict[Tuple[str, int], Listed] = {}
     of_states: List[List[Tuple[Any, int]]] = []
-    for state in range(count):
+    for state in range(len(shared)):
         of_states.append([])
         for name in present[state]:
             begin = state
@@ -217,8 +223,8 @@ def of_individuals(
             life = lives.setdefault((name, begin), Listed([]))
             life.states.append({"p": values[state][name]})  # type: ignore[attr-defined]
             of_states[-1].append((life, state - begin))
-    trace = Listed([{}] * count, of_states)
-    return [truth(formula, state, trace) for state in range(count)]
+    trace = Listed(shared, of_states)
+    return [truth(formula, state, trace) for state in range(len(shared))]
 
 
 # Exactly
