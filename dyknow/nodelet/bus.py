@@ -231,6 +231,7 @@ class Bus:
         registration = self._subscribe(connection)
         with self._lock:
             current = connection.subscription.connection is connection
+            current = current and connection.outside is old
             if current:
                 connection.outside = registration
         if not current:

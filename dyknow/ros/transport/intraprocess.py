@@ -204,8 +204,6 @@ class OrdinaryHandles(rospy.SubscribeListener):
                 made = self._outbound(connection, self._queue_size)
                 added = add(made)
                 for message in self.backlog.missed_by(address):
-                    if made.done:  # it has died meanwhile
-                        break
                     outwards(message, made)
                 return added
 

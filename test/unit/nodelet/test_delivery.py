@@ -234,3 +234,17 @@ def test_errors_of_one_line_are_one_whatever_their_texts(caplog):
         "LookupError: no data at 0 ",
         "LookupError: elsewhere",
     ]
+
+
+@pytest.mark.parametrize("is_left", [True, False])
+def test_a_connection_has_one_registration_however_often_it_is_renewed_at_once(world, is_left):
+    subscriber = world.handle().Subscriber("/t", Message, print)
+    connection, transport = subscriber.subscription.connection, world.transport
+
+    def overtake(topic):
+        transport.on_register = print
+        subscriber.unregister() if is_left else world.bus.renew(connection)
+
+    transport.on_register = overtake
+    world.bus.renew(connection)
+    assert transport.subscribers == ([] if is_left else [connection.outside])
