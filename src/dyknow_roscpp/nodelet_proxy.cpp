@@ -302,7 +302,7 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
     {
       by_origin.push_back(each.port);
     }
-    if (each.port->name.image == text)
+    if (!text.empty() && each.port->name.image == text)
     {
       by_image.push_back(each.port);
     }

@@ -383,6 +383,7 @@ class PortTest(CppCase):
             answer = set_config("/robot/names", **{port: "/y"})
             self.assertFalse(answer.success)
             self.assertRegex(answer.message, f"unknown port '{port}'.*; did you mean {near}\\?")
+        self.assertIn("unknown port ''", set_config("/robot/names", **{"": "/y"}).message)
         self.assertEqual(topics_of_ports("/robot/names"), before)
 
     def test_a_port_by_a_longer_name(self):
