@@ -9,6 +9,7 @@ threads are delayed at random.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -71,6 +72,39 @@ def impatient_interpreter() -> Iterator[None]:
     sys.setswitchinterval(1e-5)
     yield
     sys.setswitchinterval(before)
+
+
+class ThreadLimit:
+    """Refuses the threads of a name, after the first ``spared`` ones, as long as it is set."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.name, self.spared = "", 0
+        start = threading.Thread.start
+
+        def limited(thread: threading.Thread) -> None:
+            if self.name and self.name in thread.name:
+                self.spared -= 1
+                if self.spared < 0:
+                    raise RuntimeError("can't start new thread")
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", limited)
+
+    def refuse(self, name: str) -> None:
+        self.name = name
+
+    @contextlib.contextmanager
+    def reaches(self, name: str, spared: int = 0) -> Iterator[None]:
+        """Within, a thread of that name is refused, as the caller learns."""
+        self.name, self.spared = name, spared
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            yield
+        self.name, self.spared = "", 0
+
+
+@pytest.fixture
+def limit(monkeypatch: pytest.MonkeyPatch) -> ThreadLimit:
+    return ThreadLimit(monkeypatch)
 
 
 def _violations() -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import math
 import threading
 
 import pytest
@@ -231,41 +230,20 @@ def test_a_closed_pool_runs_nothing_more_and_ends_its_threads(pool):
     assert not pool.drain(0.05) and seen == []
 
 
-class ThreadLimit:
-    """The system's, for worker threads: it refuses ``left`` more of them, or all."""
-
-    def __init__(self, monkeypatch):
-        self.left = 0.0
-        start = threading.Thread.start
-
-        def limited(thread):
-            if thread.name == "dyknow-worker" and self.left > 0.0:
-                self.left -= 1.0
-                raise RuntimeError("can't start new thread")
-            start(thread)
-
-        monkeypatch.setattr(threading.Thread, "start", limited)
-
-
-@pytest.fixture(name="limit")
-def _limit(monkeypatch):
-    return ThreadLimit(monkeypatch)
-
-
 def test_a_growing_pool_that_gets_no_thread_runs_everything_once_it_gets_one(
     make_pool, limit, caplog
 ):
     pool = make_pool(None, stay=0.01)
     strands, ran = [Strand(pool, f"s{n}") for n in range(3)], threading.Semaphore(0)
     for _ in range(2):  # shortages
-        limit.left = math.inf
+        limit.refuse("dyknow-worker")
         for strand in strands:
             strand.post(ran.release)
         for _ in range(3):
             pool.catch_up()
         assert (pool.threads, pool._woken) == (0, 0)
         assert not ran.acquire(blocking=False)
-        limit.left = 0.0
+        limit.refuse("")
         pool.catch_up()
         for _ in strands:
             assert ran.acquire(timeout=PATIENCE)
@@ -278,9 +256,10 @@ def test_a_growing_pool_that_gets_no_thread_runs_everything_once_it_gets_one(
 
 def test_the_next_callback_takes_those_along_that_got_no_thread(make_pool, limit):
     pool = make_pool(None)
-    limit.left = 1.0
     first, second, ran = Strand(pool, "first"), Strand(pool, "second"), []
+    limit.refuse("dyknow-worker")
     first.post(lambda: ran.append(1))
+    limit.refuse("")
     second.post(lambda: ran.append(2))
     assert pool.drain(PATIENCE)
     assert ran == [1, 2]
@@ -294,8 +273,9 @@ def test_blocked_callbacks_do_not_hold_up_one_that_got_no_thread(make_pool, limi
     pool = make_pool(None)
     blockers = [Blocker(pool) for _ in range(3)]
     strand, ran = Strand(pool, "live"), threading.Event()
-    limit.left = 1.0
+    limit.refuse("dyknow-worker")
     strand.post(ran.set)
+    limit.refuse("")
     pool.catch_up()
     wait_for(ran)
     for blocker in blockers:
@@ -305,14 +285,14 @@ def test_blocked_callbacks_do_not_hold_up_one_that_got_no_thread(make_pool, limi
 def test_the_watchdog_goes_on_when_it_gets_no_thread(make_pool, limit, caplog):
     clock = Clock()
     pool = make_pool(1, clock=clock)
-    limit.left = math.inf
+    limit.refuse("dyknow-worker")
     blocker, waiting, ran = Blocker(pool), Strand(pool, "waiting"), threading.Event()
     waiting.post(ran.set)
     clock.seconds += 1.0
     clock.wait_read(5)
     eventually(lambda: "no thread can be started for callbacks" in caplog.text)
     assert (pool.threads, ran.is_set()) == (1, False)
-    limit.left = 0.0
+    limit.refuse("")
     wait_for(ran)
     blocker.release.set()
     eventually(lambda: pool.threads == 1)
@@ -323,7 +303,7 @@ def test_the_watchdog_goes_on_when_it_gets_no_thread(make_pool, limit, caplog):
 def test_a_worker_for_which_there_is_no_other_goes_on(make_pool, limit, caplog):
     clock = Clock()
     pool = make_pool(1, clock=clock)
-    limit.left = math.inf
+    limit.refuse("dyknow-worker")
     blocker, waiting = Blocker(pool), Strand(pool, "waiting")
     waiting.post(lambda: None)
     clock.seconds += 1.0
@@ -341,7 +321,7 @@ def test_a_pool_whose_threads_are_refused_is_not_made(limit):
 
     class Refusal(WorkerPool):
         def _hire(self):
-            limit.left = float(len(self._workers) == 2)
+            limit.refuse("dyknow-worker" if len(self._workers) == 2 else "")
             super()._hire()
 
     with pytest.raises(RuntimeError, match="can't start new thread"):

@@ -39,39 +39,6 @@ from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.shared_memory import SharedMemory
 
 
-class Limit:
-    """Refuses the threads of a name, after the first ``spared`` ones, as long as it is set."""
-
-    def __init__(self, monkeypatch):
-        self.name, self.spared = "", 0
-        start = threading.Thread.start
-
-        def limited(thread):
-            if self.name and self.name in thread.name:
-                self.spared -= 1
-                if self.spared < 0:
-                    raise RuntimeError("can't start new thread")
-            start(thread)
-
-        monkeypatch.setattr(threading.Thread, "start", limited)
-
-    def refuse(self, name):
-        self.name = name
-
-    @contextlib.contextmanager
-    def reaches(self, name, spared=0):
-        """Within, a thread of that name is refused, as the caller learns."""
-        self.name, self.spared = name, spared
-        with pytest.raises(RuntimeError, match="can't start new thread"):
-            yield
-        self.name, self.spared = "", 0
-
-
-@pytest.fixture(name="limit")
-def _limit(monkeypatch):
-    return Limit(monkeypatch)
-
-
 def test_the_next_timer_starts_the_thread_of_the_timers(limit):
     world, fired = World(), threading.Event()
     with limit.reaches("dyknow-timers"):
