@@ -150,7 +150,7 @@ class CheaperPlans:
         cheaper = self._planner.cheaper(claim)
         if cheaper is None:
             return ""
-        labels = ", ".join(sorted(step.action.label for step in cheaper.steps))
+        labels = ", ".join(sorted(step.instance.label for step in cheaper.steps))
         way = f"with {labels}" if labels else "with what others use"
         return f"a cheaper way has appeared, {way}; replanning takes it"
 

@@ -186,8 +186,8 @@ class Assembly(Transaction):
             for port, supply in supplies.items():
                 self._await(supply, topics.get(port, ""), supply.topic)
         else:
-            transformation = self._manager.library.get(step.action.label)
-            given = filling(transformation, dict(step.bindings))
+            transformation = self._manager.library.get(step.instance.label)
+            given = filling(transformation, step.instance.bindings)
             name = self._spawn(transformation, supplies, self._used[step.instance], given)
             self._check_types(name, step, supplies)
         self._made[step.instance] = name
@@ -197,7 +197,7 @@ class Assembly(Transaction):
     def _check_types(self, name: str, step: PlanStep, supplies: Mapping[str, _Supply]) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers."""
         types = {port.name: port.datatype for port in self.world.get(name).ports}
-        label = step.action.label
+        label = step.instance.label
         for port, supply in supplies.items():
             wanted, found = types.get(port, ""), supply.datatype
             if not types_fit(wanted, found):

@@ -10,6 +10,7 @@ satisfy them all.
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow.datatypes import ANY
@@ -239,7 +240,7 @@ class ClaimPlanner:
         if not isinstance(plan, Plan):
             return None
         why_not = self._monitor.requirements.why_not
-        steps = {step.instance: situation.known.get(step.action.label) for step in plan.steps}
+        steps = {each.instance: situation.known.get(each.instance.label) for each in plan.steps}
         found = {
             f"{label} is not available: {why}": None
             for (label, bindings), known in steps.items()
@@ -291,7 +292,7 @@ class ClaimPlanner:
         before, now = proposal.situation, self.situation(claim)
         if isinstance(proposal.answer, NoPlan):
             return before == now
-        steps = {step.action.label for step in proposal.answer.steps}
+        steps = {step.instance.label for step in proposal.answer.steps}
         return (
             before.demand == now.demand
             and not steps & now.exclude
@@ -523,7 +524,7 @@ class ClaimPlanner:
                 ways = ways_to_meet(terms, stream.datatype, demand, self._ontology)
                 for way in ways:
                     bindings = tuple(sorted(way.items()))
-                    return Plan(demand, stream, (), 0, 0, bindings, latency=stream.latency)
+                    return Plan(demand, stream, (), 0, bindings, latency=stream.latency)
         return None
 
     def _searched(self, situation: Situation) -> Answer:
@@ -544,7 +545,7 @@ class ClaimPlanner:
                 situation.verdicts,
                 situation.refused,
             )
-        if isinstance(answer, NoPlan):
+        if isinstance(answer, NoPlan) or not situation.own:
             return answer
         used = self._used_as_they_are(answer)
         if used.isdisjoint(assigned(answer, situation.own, self._ontology).values()):
@@ -554,7 +555,7 @@ class ClaimPlanner:
         second = self._searched(situation._replace(own=own))
         if isinstance(second, NoPlan):
             return second
-        return second._replace(least_cost=min(second.least_cost, answer.least_cost))
+        return replace(second, least_cost=min(second.least_cost, answer.least_cost))
 
     @contextlib.contextmanager
     def _planning(self, known: Transformations) -> Iterator[tuple[Planner, bool]]:
@@ -579,12 +580,11 @@ class ClaimPlanner:
         used = self.assigned(plan, own)
         steps = []
         for step in plan.steps:
-            found = known.get(step.action.label)  # None if the library has changed meanwhile
-            price = step.action.cost if found is None else found.cost
-            action = step.action._replace(cost=0 if step.instance in used else price)
-            steps.append(step._replace(action=action))
-        plan = plan._replace(steps=tuple(steps))
-        return plan._replace(cost=plan.total, least_cost=min(plan.total, plan.least_cost))
+            found = known.get(step.instance.label)  # None if the library has changed meanwhile
+            price = step.cost if found is None else found.cost
+            steps.append(step._replace(cost=0 if step.instance in used else price))
+        plan = replace(plan, steps=tuple(steps))
+        return replace(plan, least_cost=min(plan.cost, plan.least_cost))
 
     def _price(self, claim: Claim, saved: Iterable[Transformation], known: Transformations) -> int:
         """Return the cost that ends with a claim's stream; ``saved`` parts serve nothing else."""
@@ -661,7 +661,7 @@ def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> di
         return {}
     begun: dict[Instance, str] = {}
     fitting: dict[Instance, list[str]] = {}
-    for instance in dict.fromkeys([step.instance for step in plan.steps]):
+    for instance in [step.instance for step in plan.steps]:
         label, names = instance
         of_label = [each for each in own if each.label == label]
         fit = fitting[instance] = [e.name for e in of_label if _agree(e.kept, names, ontology)]

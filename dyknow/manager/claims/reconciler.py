@@ -225,7 +225,7 @@ class StreamReconciler:
             self._planner.check_goal(claim, plan)
             own = self._planner.assigned(plan, self._planner.own(claim))
         used = {stream.nodelet or stream.topic for stream in plan.live}
-        new = [step.action.label for step in plan.steps if step.instance not in own]
+        new = [each.instance.label for each in plan.steps if each.instance not in own]
         claim = replace(claim, bindings=plan.bindings)
         return Acquired(claim, plan, tuple(new), tuple(sorted({*used, *own.values()})))
 

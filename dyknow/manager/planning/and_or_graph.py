@@ -21,6 +21,9 @@ from dyknow.manager.planning.request import NEVER, Request, matched
 _BITS = 32
 _NUMBER = (1 << _BITS) - 1
 
+#: Stands for very many actions that were not looked at.
+CROWD = Operator("", 0, None, (), (), (), (), (), False, None)
+
 Node = int
 Instance = int
 
@@ -67,8 +70,7 @@ class AndOrGraph:
         self.patterns: list[Pattern] = []  # the demand of each node; node 0 is the goal
         #: The names that the wanted variables of each node's pattern stand for.
         self.names: list[Theta] = []
-        #: The action of each instance; None for very many actions that were not looked at.
-        self.actions: list[Operator | None] = []
+        self.actions: list[Operator] = []  # of each instance
         self.thetas: list[Theta] = []  # the names of each instance's variables
         self.costs: list[int] = []  # of each instance
         #: The nodes of each instance's in-ports, in the order written.
@@ -81,7 +83,7 @@ class AndOrGraph:
         return len(self.patterns) - 1
 
     def add_instance(
-        self, action: Operator | None, theta: Theta, cost: int, needs: tuple[Node, ...]
+        self, action: Operator, theta: Theta, cost: int, needs: tuple[Node, ...]
     ) -> Instance:
         self.actions.append(action)
         self.thetas.append(theta)
@@ -97,23 +99,18 @@ class AndOrGraph:
         else:
             self.makes[instance] = [*made, node] if made else (node,)
 
-    def action(self, instance: Instance) -> Operator:
-        action = self.actions[instance]
-        assert action is not None
-        return action
-
     def nodelet(self, instance: Instance) -> tuple[Operator, Theta]:
         """Return a key that is equal for instances that are one nodelet.
 
         Private variables distinguish nodelets, but are bound only where a plan is written.
         """
-        action = self.action(instance)
+        action = self.actions[instance]
         is_base = self.request.is_strict or not action.has_private
         return action.base if is_base else action, self.thetas[instance]
 
     def head(self, instance: Instance, node: Node) -> Head:
         """Return the out-port with which an instance makes a node."""
-        action = self.action(instance)
+        action = self.actions[instance]
         if len(action.heads) == 1:
             return action.heads[0]
         pattern, names = self.patterns[node], self.names[node]
@@ -124,7 +121,7 @@ class AndOrGraph:
         total = sum([self.costs[each] for each in instances])
         if self.request.kept:
             for each in self.surplus(instances):
-                base = self.action(each).base
+                base = self.actions[each].base
                 total += NEVER if base in self.request.scarce else base.cost
         return total
 
@@ -132,8 +129,7 @@ class AndOrGraph:
         """Return those to which a free nodelet would fit, but other instances have it."""
         fitting: dict[Instance, Sequence[int]] = {}
         for each in sorted(instances):
-            action = self.actions[each]
-            found = self.request.fitting(action, self.thetas[each]) if action is not None else ()
+            found = self.request.fitting(self.actions[each], self.thetas[each])
             if found:
                 fitting[each] = found
         return fitting.keys() - matched(fitting, {}).keys()
@@ -206,8 +202,8 @@ class AndOrGraph:
         begins, users = self._users
         missing = {each: len(self.needs[each]) for each in instances}
         if self.request.demand.min_rate:
-            slow = {self.nodelet(each): each for each in missing if not self.action(each).slow}
-            for each in [each for each in missing if self.action(each).slow]:
+            slow = {self.nodelet(each): each for each in missing if not self.actions[each].slow}
+            for each in [each for each in missing if self.actions[each].slow]:
                 missing.pop(slow.get(self.nodelet(each), -1), None)
         limit = self.request.limit
         way: dict[Node, Instance] = {}
@@ -273,7 +269,7 @@ class Reach(AndOrGraph):
                     continue
                 crowd = request.crowd(pattern) if pattern.wanted else None
                 if crowd is not None:  # they are looked at when more is known
-                    self.add_maker(node, self.add_instance(None, (), crowd, ()))
+                    self.add_maker(node, self.add_instance(CROWD, (), crowd, ()))
                     continue
             for offer in request.offers(pattern):
                 makers.append(self._maker(node, offer.action, request.floor(offer.action)))
@@ -342,7 +338,7 @@ class Reach(AndOrGraph):
             found[self.patterns[node]] = price
             for instance in makers[node]:
                 cost = price + self.costs[instance]
-                if self.actions[instance] is None:
+                if self.actions[instance] is CROWD:
                     rest = min(rest, cost)
                 elif price + floors[instance] < below:
                     for need in self.needs[instance]:

@@ -21,8 +21,8 @@ import re
 from typing import NamedTuple
 
 from dyknow.graphviz import quote
-from dyknow.manager.planning.problem import Answer, Live, NoPlan, Plan, Source
-from dyknow.manager.specifications.tags import Bindings, written_bindings
+from dyknow.manager.planning.problem import Answer, Instance, Live, NoPlan, Plan, Source
+from dyknow.manager.specifications.tags import written_bindings
 
 _LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
 _BOUND = re.compile(r"(.*)( \[\?[^\[\]]*=[^\[\]]*\])\Z")
@@ -54,10 +54,10 @@ def as_tree(answer: Answer) -> str:
     lines = [f"{answer.demand}: cost {answer.cost} ({_how_good(answer)})"]
     if answer.latency or answer.demand.max_age:
         lines[0] += f", latency {answer.latency:g} s as stated"
-    steps = {(step.action.label, step.bindings): step for step in answer.steps}
+    steps = {step.instance: step for step in answer.steps}
     charges = dict(answer.charges)
     waiting: list[tuple[str, bool, str, Source]] = [("", True, "", answer.goal)]
-    seen: set[tuple[str, Bindings]] = set()
+    seen: set[Instance] = set()
     while waiting:
         lead, is_last, port, source = waiting.pop()
         inputs: tuple[tuple[str, Source], ...] = ()
@@ -67,14 +67,13 @@ def as_tree(answer: Answer) -> str:
             how += _charged(charges.pop(name, 0))
             what = f"{source.label}.{source.port}" if source.nodelet else name
         else:
-            key = source.label, source.bindings
-            action, how = steps[key].action, _ABOVE
-            if key not in seen:
-                seen.add(key)
-                inputs = steps[key].inputs
-                how = f"new, cost {action.cost}" if action.cost else "at no cost"
-                how += _charged(action.charge)
-            names = written_bindings(source.bindings)
+            step, how = steps[source.instance], _ABOVE
+            if source.instance not in seen:
+                seen.add(source.instance)
+                inputs = step.inputs
+                how = f"new, cost {step.cost}" if step.cost else "at no cost"
+                how += _charged(step.charge)
+            names = written_bindings(source.instance.bindings)
             what = f"{source.label}.{source.port}" + (f" [{names}]" if names else "")
         arrow = f"{port} ← " if port else ""
         lines.append(f"{lead}{'└─ ' if is_last else '├─ '}{arrow}{what} ({how})")

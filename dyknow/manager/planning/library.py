@@ -16,7 +16,8 @@ import heapq
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
+from itertools import groupby, islice
+from operator import itemgetter
 from typing import Any, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple
 
 from dyknow.datatypes import types_fit
@@ -190,8 +191,8 @@ class Bucket:
         return sorted({head for heads in best for head in heads}, key=_by_order)
 
 
-Buckets = Dict[Tuple[str, int], Bucket]
-"""By the functor and the length of the atom."""
+Buckets = Dict[Tuple[str, int, bool], Bucket]
+"""By the functor and the length of the atom; those of facts and of makers apart."""
 
 
 class OperatorIndex:
@@ -201,16 +202,14 @@ class OperatorIndex:
         self,
         names: Names,
         actions: dict[str, Operator],
-        facts: Buckets,
-        makers: Buckets,
+        buckets: Buckets,
         guarded: frozenset[Operator] = frozenset(),
     ) -> None:
         """Take over the parts; ``guarded`` are the actions that require verdicts."""
         self.names = names
         self.actions = actions
         self.guarded = guarded
-        self.facts = facts
-        self.makers = makers
+        self.buckets = buckets
         # Results about the patterns of in-ports; it does not matter by which thread.
         self._offers: dict[Pattern, tuple[Offer, ...]] = {}
         self._cheapest: dict[Pattern, tuple[Head, ...]] = {}
@@ -220,28 +219,16 @@ class OperatorIndex:
         actions = dict(self.actions)
         for action in gone:
             del actions[action.label]
-        come = {action.label: action for action in added}
-        actions.update(come)
-        facts, makers = (
-            _edited(
-                buckets,
-                {each for each in gone if bool(each.inputs) is is_maker},
-                [each for each in come.values() if bool(each.inputs) is is_maker],
-            )
-            for buckets, is_maker in ((self.facts, False), (self.makers, True))
-        )
-        guarded = {each for each in come.values() if each.requires}
-        return OperatorIndex(
-            self.names, actions, facts, makers, self.guarded.difference(gone).union(guarded)
-        )
+        actions.update((action.label, action) for action in added)
+        guarded = self.guarded.difference(gone).union([each for each in added if each.requires])
+        return OperatorIndex(self.names, actions, _edited(self.buckets, gone, added), guarded)
 
     def cheapest_facts(self, pattern: Pattern) -> tuple[Head, ...]:
         """Return the two cheapest facts that supply a pattern, as far as there are any."""
         found = self._cheapest.get(pattern)
         if found is None:
-            heads = candidates(self.facts, pattern, (), self.names)
-            facts = (next(matching([head], pattern, (), self.names), None) for head in heads)
-            found = tuple(islice((fact[0] for fact in facts if fact is not None), 2))
+            heads = candidates(self.buckets, pattern, (), self.names)
+            found = cheapest(matching(heads, pattern, (), self.names))
             if pattern.uses:
                 self._cheapest[pattern] = found
         return found
@@ -258,7 +245,7 @@ class OperatorIndex:
     def look_up(self, pattern: Pattern, known: Known) -> Iterator[Offer]:
         """Yield how makers can supply a pattern; known names rule some of them out."""
         wanted = [pattern.atoms[0].index(each) for each in pattern.wanted if pattern.is_plain]
-        for head in candidates(self.makers, pattern, known, self.names):
+        for head in candidates(self.buckets, pattern, known, self.names, is_maker=True):
             atoms, action = head.atoms, head.action
             if not head.has_type(pattern):
                 continue
@@ -273,22 +260,24 @@ class OperatorIndex:
     def count_makers(self, pattern: Pattern) -> tuple[int, int]:
         """Return how many makers may supply a pattern, and a bound that none of them is below."""
         atom = pattern.atoms[0]
-        keys = [(each, len(atom)) for each in self.names.below(frozenset((str(atom[0]),)))]
-        buckets = [self.makers[key] for key in keys if key in self.makers]
+        functors = self.names.below(frozenset((str(atom[0]),)))
+        found = [self.buckets.get((each, len(atom), True)) for each in functors]
+        buckets = [bucket for bucket in found if bucket is not None]
         count = sum([len(each.heads) for each in buckets])
         return count, min([each.heads[0].cost for each in buckets], default=0)
 
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
     """Sort heads into buckets."""
-    found: dict[tuple[str, int], dict[Head, None]] = {}
+    found: dict[tuple[str, int, bool], dict[Head, None]] = {}
     for head in heads:
+        is_maker = bool(head.action.inputs)
         for atom in head.atoms:
-            found.setdefault((str(atom[0]), len(atom)), {})[head] = None
-    return {key: Bucket(*key, some) for key, some in found.items()}
+            found.setdefault((str(atom[0]), len(atom), is_maker), {})[head] = None
+    return {key: Bucket(*key[:2], some) for key, some in found.items()}
 
 
-def _edited(old: Buckets, gone: set[Operator], come: list[Operator]) -> Buckets:
+def _edited(old: Buckets, gone: set[Operator], come: Iterable[Operator]) -> Buckets:
     """Return buckets without the heads of some actions, and with those of other actions."""
     new = dict(old)
     more = bucketed([head for action in come for head in action.heads])
@@ -299,28 +288,33 @@ def _edited(old: Buckets, gone: set[Operator], come: list[Operator]) -> Buckets:
         if key in more:
             heads = heads + more[key].heads
         if heads:
-            new[key] = Bucket(*key, heads)
+            new[key] = Bucket(*key[:2], heads)
         else:
             del new[key]
     return new
 
 
 def candidates(
-    buckets: Buckets, pattern: Pattern, known: Known, names: Names, is_local: bool = False
+    buckets: Buckets,
+    pattern: Pattern,
+    known: Known,
+    names: Names,
+    is_maker: bool = False,
+    is_local: bool = False,
 ) -> Iterator[Head]:
-    """Return the out-ports that may supply a pattern, the cheapest first; some may not.
+    """Return the facts, or makers, that may supply a pattern, the cheapest first; some may not.
 
     Names of live streams, which are local to a request, are not entered.
     """
     best: list[list[Head]] | None = None
     fewest = 0
     for atom in pattern.atoms:
-        functor = str(atom[0])
+        functor, size = str(atom[0]), len(atom)
         if is_local:
-            functors: Sequence[str] = [e for e, _ in buckets if names.subsumes(functor, e)]
+            keys = [e for e in buckets if e[1] == size and names.subsumes(functor, e[0])]
         else:
-            functors = names.below(frozenset((functor,)))
-        found = [buckets[each, len(atom)] for each in functors if (each, len(atom)) in buckets]
+            keys = [(each, size, is_maker) for each in names.below(frozenset((functor,)))]
+        found = [buckets[key] for key in keys if key in buckets]
         limits: Known = ()
         if found:
             limits = limits_of(pattern, known, atom, names)
@@ -348,6 +342,11 @@ def matching(
                     yield head, theta
 
 
+def cheapest(facts: Iterable[tuple[Head, Theta]]) -> tuple[Head, ...]:
+    """Return the first two out-ports of facts that supply a pattern, as far as there are any."""
+    return tuple(islice((head for head, _ in groupby(facts, itemgetter(0))), 2))
+
+
 class Reader:
     """Reads transformations as actions, whose equal demands are one pattern."""
 
@@ -358,9 +357,6 @@ class Reader:
         self._by_text: dict[Any, Pattern] = {}
         self._types: dict[tuple[Types, ...], tuple[Types, ...]] = {}
 
-    def read(self, transformations: Iterable[Transformation]) -> list[Operator]:
-        return [self._read(each) for each in transformations]
-
     def forget(self, actions: Iterable[Operator]) -> None:
         """Forget the patterns of actions that other actions do not have."""
         for pattern in [each for action in actions for each in action.inputs]:
@@ -369,7 +365,7 @@ class Reader:
                 del self._patterns[pattern.key]
                 self._by_text.clear()
 
-    def _read(self, transformation: Transformation) -> Operator:
+    def read(self, transformation: Transformation) -> Operator:
         ports = [each for each in transformation.ports if each.direction == IN and each.tags]
         ports = [port for port in ports if read_tags(port.tags)]
         outs = [port for port in transformation.ports if port.direction == OUT and port.tags]

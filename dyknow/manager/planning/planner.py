@@ -13,10 +13,11 @@ between equal costs, so equal problems have equal plans.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import AbstractSet, Callable, Iterable, Mapping
 
 from dyknow.garbage import without_collection
-from dyknow.manager.planning.and_or_graph import Draft, Instance, Node, Reach
+from dyknow.manager.planning.and_or_graph import Draft, Node, Reach
 from dyknow.manager.planning.improvement import BOUNDED, STEPS, Budget, allowed, improve
 from dyknow.manager.planning.library import Head, Operator, OperatorIndex, Reader
 from dyknow.manager.planning.patterns import NO_TYPES, Names
@@ -27,11 +28,10 @@ from dyknow.manager.planning.problem import (
     NO_VERDICTS,
     NO_WISHES,
     NOT_PREFERRED,
-    Action,
     Answer,
     Demand,
     Free,
-    Live,
+    Instance,
     New,
     NoPlan,
     Plan,
@@ -73,7 +73,7 @@ class Planner:
     ) -> None:
         names = Names(ontology)
         self._reader = Reader(names)
-        self._library = OperatorIndex(names, {}, {}, {})
+        self._library = OperatorIndex(names, {}, {})
         self._clock = clock
 
     def __len__(self) -> int:
@@ -92,7 +92,7 @@ class Planner:
     def _change(self, labels: Iterable[str], added: list[Transformation]) -> None:
         known = self._library.actions
         gone = {known[label] for label in labels if label in known}
-        come = self._reader.read(added)
+        come = [self._reader.read(each) for each in added]
         self._reader.forget(gone)
         self._library = self._library.changed(gone, come)
 
@@ -136,7 +136,7 @@ class Planner:
         strict = self._answer(request, budget)
         if isinstance(strict, NoPlan):
             return strict
-        return strict._replace(least_cost=min(strict.least_cost, answer.least_cost))
+        return replace(strict, least_cost=min(strict.least_cost, answer.least_cost))
 
     def _answer(self, request: Request, budget: float) -> Answer:
         demand, improving = request.demand, Budget(budget, self._clock)
@@ -223,23 +223,22 @@ class Planner:
     @without_collection()
     def parts(
         self, demand: Demand, live: Streams = (), exclude: AbstractSet[str] = NO_LABELS
-    ) -> set[tuple[str, Bindings]]:
+    ) -> set[Instance]:
         """Find every possible part of a plan, under any verdicts; the arguments are as for `plan`.
 
-        Returns:
-            Labels, also of live streams, each with bindings of the variables that tell its
-            nodelets apart.
+        Labels are also those of live streams; bindings are those of the variables that tell its
+        nodelets apart.
         """
         request = Request(self._library, demand, list(live), exclude, verdicts=None)
         request.is_whole = True
         search = Search(Reach(request), NEVER)
         search.run(int(BUDGET * STEPS))
         written = request.names.written
-        found: set[tuple[str, Bindings]] = set()
+        found: set[Instance] = set()
         for number, theta in enumerate(search.graph.thetas):
-            action = search.graph.action(number).base
+            action = search.graph.actions[number].base
             bindings = tuple(zip(action.variables, map(written, theta)))
-            found.update((head.label, bindings) for head in action.heads)
+            found.update(Instance(head.label, bindings) for head in action.heads)
         return found
 
     @without_collection()
@@ -270,35 +269,33 @@ class _Writer:
     def __init__(self, draft: Draft) -> None:
         self._graph = draft.graph
         self._way = draft.way
-        self._bindings: dict[Instance, Bindings] = {}
+        self._instances: dict[int, Instance] = {}
         self._sources: dict[Node, tuple[Source, Head]] = {}
 
     def source(self, node: Node) -> tuple[Source, Head]:
         """Return the supplier of a node, and its out-port."""
         found = self._sources.get(node)
         if found is None:
-            instance = self._way[node]
-            head = self._graph.head(instance, node)
-            bindings = self._bindings.get(instance, ())
-            found = head.live or New(head.action.label, head.port.name, bindings), head
-            self._sources[node] = found
+            maker = self._way[node]
+            head = self._graph.head(maker, node)
+            source = head.live or New(self._instances[maker], head.port.name)
+            found = self._sources[node] = source, head
         return found
 
-    def step(self, instance: Instance, action: Operator, part: Action) -> PlanStep:
-        if not action.inputs:
-            return PlanStep(part, ())
-        ports = action.in_ports
-        sources = [self.source(node) for node in self._graph.needs[instance]]
-        inputs = tuple([(port.name, source) for port, (source, _) in zip(ports, sources)])
-        if not action.variables and not action.has_private:
-            return PlanStep(part, inputs)
-        joined = dict(zip(action.variables, self._graph.thetas[instance]))
+    def step(self, number: int, action: Operator, cost: int, charge: int) -> PlanStep:
+        """Write an instance of the graph."""
         bindings: dict[str, str] = {}
-        for port, (source, head) in zip(ports, sources):
-            way = self.bound(source, head, read_tags(port.tags), joined)
-            bindings = {**way, **bindings}
-        self._bindings[instance] = tuple(sorted(bindings.items()))
-        return PlanStep(part, inputs, self._bindings[instance])
+        inputs = []
+        joined = dict(zip(action.variables, self._graph.thetas[number]))
+        for port, node in zip(action.in_ports, self._graph.needs[number]):
+            source, head = self.source(node)
+            inputs.append((port.name, source))
+            if action.variables or action.has_private:
+                way = self.bound(source, head, read_tags(port.tags), joined)
+                bindings = {**way, **bindings}
+        instance = Instance(action.label, tuple(sorted(bindings.items())))
+        self._instances[number] = instance
+        return PlanStep(instance, tuple(inputs), cost, charge)
 
     def bound(
         self, source: Source, head: Head, demanded: Iterable[Term], joined: Mapping[str, str]
@@ -306,8 +303,9 @@ class _Writer:
         """Bind the variables of a demand to names as they are supplied."""
         names = self._graph.request.names
         terms = read_tags(head.port.tags)
-        if not isinstance(source, Live):
-            terms = tuple([term.substitute(dict(source.bindings)) for term in terms])
+        if isinstance(source, New):
+            bindings = dict(source.instance.bindings)
+            terms = tuple([term.substitute(bindings) for term in terms])
         for way in unify_all(terms, demanded, names.ontology):
             bound = {variable: names.canonical(name) for variable, name in way.items()}
             if all(joined.get(variable, name) == name for variable, name in bound.items()):
@@ -321,30 +319,25 @@ def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
     steps: list[PlanStep] = []
     charges: list[tuple[str, int]] = []
     surplus = graph.surplus(draft.order) if request.kept else ()
-    for instance in draft.order:
-        action, theta = graph.action(instance).base, graph.thetas[instance]
+    for number in draft.order:
+        action, theta = graph.actions[number].base, graph.thetas[number]
         if action.transformation is None:
             if action.cost:
                 charges.append((action.label, action.cost))
             continue
-        is_there = request.kept and instance not in surplus and request.fitting(action, theta)
+        is_there = request.kept and number not in surplus and request.fitting(action, theta)
         cost = 0 if is_there else action.cost
-        part = Action(action.label, cost, request.charges.get(action, 0))
-        steps.append(writer.step(instance, action, part))
-    demand = request.demand
+        steps.append(writer.step(number, action, cost, request.charges.get(action, 0)))
     goal, head = writer.source(0)
-    bindings: dict[str, str] = {}
-    if any(term.variables for term in demand.tags):
-        bindings = writer.bound(goal, head, sorted(demand.tags), {})
-    plan = Plan(
-        demand,
+    wanted = sorted(request.demand.tags)
+    bindings = writer.bound(goal, head, wanted, {}) if request.goal.types else {}
+    return Plan(
+        request.demand,
         goal,
         tuple(steps),
-        0,
         least_cost,
         tuple(sorted(bindings.items())),
         is_cut_short,
         tuple(sorted(charges)),
         draft.latency / 1e6,
     )
-    return plan._replace(cost=plan.total)

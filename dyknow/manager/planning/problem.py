@@ -10,6 +10,8 @@ supplier, without a cycle; each transformation stands in it at most once and cos
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple, Union
 
@@ -70,56 +72,43 @@ TaggedStream = Tuple[Live, Tuple[Term, ...]]
 Streams = Iterable[TaggedStream]
 
 
-Instance = Tuple[str, Bindings]
-"""The label of a transformation and what its variables stand for: what a plan needs once."""
+class Instance(NamedTuple):
+    """What a plan needs once: a nodelet of a transformation."""
+
+    label: str  # of the transformation
+    bindings: Bindings = ()  # what all its variables stand for
 
 
 class New(NamedTuple):
-    """An out-port of a nodelet to make; bindings of all variables distinguish its nodelets."""
+    """An out-port of a nodelet to make."""
 
-    label: str
+    instance: Instance
     port: str
-    bindings: Bindings = ()
 
     @property
-    def instance(self) -> Instance:
-        return self.label, self.bindings
+    def label(self) -> str:
+        return self.instance.label
 
 
 Source = Union[Live, New]
 
 
-class Action(NamedTuple):
-    """A transformation as the planner sees it.
-
-    The cost is 0 if a nodelet can be connected elsewhere; a charge is added to it if the client
-    would rather have other parts.
-    """
-
-    label: str
-    cost: int
-    charge: int = 0
-
-
 class PlanStep(NamedTuple):
-    """A nodelet to make: its in-ports with their suppliers, and bindings of all variables."""
+    """A nodelet to make."""
 
-    action: Action
-    inputs: tuple[tuple[str, Source], ...]
-    bindings: Bindings = ()
-
-    @property
-    def instance(self) -> Instance:
-        return self.action.label, self.bindings
+    instance: Instance
+    inputs: tuple[tuple[str, Source], ...]  # its in-ports with their suppliers
+    cost: int  # 0 if a nodelet can be connected elsewhere
+    charge: int = 0  # besides the cost, if the client would rather have other parts
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True)
+class Plan:
     """How to get a stream."""
 
     demand: Demand
     goal: Source  # where it comes from
     steps: tuple[PlanStep, ...]  # the nodelets to make, suppliers before consumers
-    cost: int  # sum over the steps and the charges
     least_cost: int = 0  # no plan costs less; if it is the cost, that is proven least
     bindings: Bindings = ()  # of the variables in the demand
     #: Whether the clock ended the improvement, so that the same problem may have another plan at
@@ -129,17 +118,19 @@ class Plan(NamedTuple):
     charges: tuple[tuple[str, int], ...] = ()
     latency: float = 0.0  # the stated latencies along the longest path, in s
 
-    @property
-    def total(self) -> int:
-        steps = sum([step.action.cost + step.action.charge for step in self.steps])
-        return steps + sum([charge for _, charge in self.charges])
+    @cached_property
+    def cost(self) -> int:
+        """The sum over the steps and the charges."""
+        charges = [charge for _, charge in self.charges]
+        return sum([step.cost + step.charge for step in self.steps]) + sum(charges)
 
-    @property
-    def sources(self) -> set[Source]:
+    @cached_property
+    def sources(self) -> frozenset[Source]:
         """Everything that is used of nodelets that exist, and of new ones."""
-        return {self.goal, *[source for step in self.steps for _, source in step.inputs]}
+        inputs = [source for step in self.steps for _, source in step.inputs]
+        return frozenset((self.goal, *inputs))
 
-    @property
+    @cached_property
     def live(self) -> tuple[Live, ...]:
         """Streams that are used as they are."""
         return tuple(sorted([each for each in self.sources if isinstance(each, Live)]))

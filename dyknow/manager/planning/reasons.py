@@ -61,7 +61,7 @@ def no_plan(search: Search) -> NoPlan:
 def too_few(draft: Draft) -> NoPlan:
     """Return the reason why there is no plan if all need more nodelets than there are."""
     graph, demand = draft.graph, draft.graph.request.demand
-    actions = [graph.action(each).base for each in graph.surplus(draft.order)]
+    actions = [graph.actions[each].base for each in graph.surplus(draft.order)]
     labels = sorted({each.label for each in actions if each in graph.request.scarce})
     cause = f"no new nodelet of {_listed(labels)} is made now"
     return NoPlan(demand, (), False, obstacles=(Obstacle(demand, (cause,)),))

@@ -23,6 +23,7 @@ from dyknow.manager.planning.library import (
     OperatorIndex,
     bucketed,
     candidates,
+    cheapest,
     matching,
 )
 from dyknow.manager.planning.patterns import (
@@ -224,7 +225,7 @@ class Request:
 
     def facts(self, pattern: Pattern, known: Known = ()) -> Iterator[tuple[Head, Theta]]:
         """Return the facts that supply a pattern, the cheapest first."""
-        heads: Iterable[Head] = candidates(self.library.facts, pattern, known, self.names)
+        heads: Iterable[Head] = candidates(self.library.buckets, pattern, known, self.names)
         if self._local:
             local = candidates(self._local, pattern, known, self.names, is_local=True)
             others = (head for head in heads if head.action not in self._floors)
@@ -243,7 +244,7 @@ class Request:
             found = self.library.cheapest_facts(pattern)
             if not found or self._barred.isdisjoint([head.action for head in found]):
                 return found
-        return list(dict.fromkeys(itertools.islice((e for e, _ in self.facts(pattern)), 2)))
+        return cheapest(self.facts(pattern))
 
     def _has_local(self, pattern: Pattern) -> bool:
         local = candidates(self._local, pattern, (), self.names, is_local=True)
@@ -263,8 +264,8 @@ class Request:
         names, library = self.names, self.library
         loose = Pattern(pattern.atoms, "", (NO_TYPES,) * len(pattern.types), pattern.wanted)
         found = itertools.chain(
-            candidates(library.facts, loose, (), names),
-            candidates(library.makers, loose, (), names),
+            candidates(library.buckets, loose, (), names),
+            candidates(library.buckets, loose, (), names, is_maker=True),
             candidates(self._local, loose, (), names, is_local=True),
         )
         yield from itertools.islice(found, _MOST_ALIKE)

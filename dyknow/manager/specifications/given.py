@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import Iterable, Mapping, Sequence
+from typing import Iterable, Sequence
 
 from dyknow.errors import InvalidParameters
 from dyknow.manager.specifications.findings import listed, meant, shorten
-from dyknow.manager.specifications.tags import Subsumption, Term, read_tags, types_of
+from dyknow.manager.specifications.tags import Bindings, Subsumption, Term, read_tags, types_of
 from dyknow.manager.specifications.values import BadValue, filled, infer_type, parse_value
 from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import OUT, Parameter, Transformation
@@ -69,13 +69,13 @@ def filling_variables(transformation: Transformation) -> set[str]:
     return {variable for text in texts for variable in variables_of(text)}
 
 
-def filling(transformation: Transformation, bindings: Mapping[str, str]) -> tuple[Parameter, ...]:
+def filling(transformation: Transformation, bindings: Bindings) -> tuple[Parameter, ...]:
     """Return the given parameters that fill the placeholders of a nodelet's parameters.
 
     What is not bound, since the transformation was replaced meanwhile, is refused on load.
     """
-    used = sorted(filling_variables(transformation) & bindings.keys())
-    return tuple(Parameter(variable, "string", bindings[variable]) for variable in used)
+    used = filling_variables(transformation)
+    return tuple([Parameter(each, "string", name) for each, name in bindings if each in used])
 
 
 def exposed_variables(transformation: Transformation) -> set[str]:
@@ -97,17 +97,10 @@ def completed(
     declared = {each.name: each.type for each in transformation.parameters}
     counts = Counter(name for name, _, _ in given)
     problems = [f"{name} is given more than once" for name, count in counts.items() if count > 1]
-    known, concepts = variables(transformation), types_of(_terms(transformation))
     done = []
     for name, type_, text in sorted(given):
         if name[:1] == "?":
-            problems += _problems_of_variable(name, type_, text, known)
-            if ontology is not None:
-                missing = concepts.get(name, frozenset()) - ontology.names_above(text)
-                problems += [
-                    f"{shorten(name)} is given '{shorten(text)}', which is no {concept}"
-                    for concept in sorted(missing)
-                ]
+            problems += _problems_of_variable(transformation, name, type_, text, ontology)
             done.append(Parameter(name, "string", text))
             continue
         type_ = type_ or declared.get(name) or infer_type(text)
@@ -133,7 +126,7 @@ def set_on_load(
     """
     bindings = bindings_of(given)
     overriding = [each for each in given if each.name[:1] != "?"]
-    overridden = names_of(overriding)
+    overridden = [each.name for each in overriding]
     problems: list[str] = []
     result: list[Parameter] = []
     for name, type_, text in transformation.parameters:
@@ -160,10 +153,16 @@ def set_on_load(
     return (*result, *overriding)
 
 
-def _problems_of_variable(name: str, type_: str, text: str, known: set[str]) -> Iterable[str]:
+def _problems_of_variable(
+    transformation: Transformation, name: str, type_: str, text: str, ontology: Subsumption | None
+) -> Iterable[str]:
+    known, concepts = variables(transformation), types_of(_terms(transformation))
     if name not in known:
         yield f"unknown variable {shorten(name)}; known: {listed(known)}{meant(name, known)}"
     if type_ not in ("", "string"):
         yield f"{shorten(name)} is given as {type_}; expected a name, of type string"
     if not text.strip() or text.strip() != text or text[0] == "?" or set(text) & set("(),"):
         yield f"{shorten(name)} is given '{shorten(text)}'; expected a name such as cam1"
+    if ontology is not None:
+        for concept in sorted(concepts.get(name, frozenset()) - ontology.names_above(text)):
+            yield f"{shorten(name)} is given '{shorten(text)}', which is no {concept}"

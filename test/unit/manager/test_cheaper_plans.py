@@ -16,7 +16,7 @@ from unit.manager.planning.random_problems import Kinds
 
 from dyknow.errors import BadParameter, InvalidParameters, NoPlanFound, UnknownTransformation
 from dyknow.manager.claims.claim_planner import OwnNodelet, assigned
-from dyknow.manager.planning.problem import Action, Demand, Instance, New, Plan, PlanStep
+from dyknow.manager.planning.problem import Demand, Instance, New, Plan, PlanStep
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.model.streams import StreamRequest
 
@@ -210,10 +210,9 @@ RIGHT: Bindings = (("?c", "right"),)
 
 
 def plan(*instances: Instance) -> Plan:
-    steps = [PlanStep(Action(label, 1), (), bindings) for label, bindings in instances]
-    label, bindings = instances[-1]
+    steps = [PlanStep(Instance(*each), (), 1) for each in instances]
     demand = Demand(frozenset((parse_tag("Ball(?c)"),)))
-    return Plan(demand, New(label, "out", bindings), tuple(steps), len(steps))
+    return Plan(demand, New(steps[-1].instance, "out"), tuple(steps))
 
 
 FREE = [OwnNodelet("/b", "t"), OwnNodelet("/a", "t"), OwnNodelet("/u", "u")]

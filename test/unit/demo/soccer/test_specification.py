@@ -52,7 +52,7 @@ def plan(ontology, transformations):
 
 
 def labels(plan):
-    return [step.action.label for step in plan.steps]
+    return [step.instance.label for step in plan.steps]
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,9 @@ def test_images_never_meet_the_intrinsics_of_another_camera(plan):
 def test_joint_states_of_the_robots_driver_are_used(plan):
     joints = Live("/nao/joint_states", "", "", "driver(nao)", "sensor_msgs/JointState")
     found = plan(live=[(joints, (parse_tag("JointStates(nao)"),))])
-    detector = next(step for step in found.steps if step.action.label.startswith("ball_detector"))
+    detector = next(
+        step for step in found.steps if step.instance.label.startswith("ball_detector")
+    )
     assert dict(detector.inputs)["joint_states"] == joints
 
 

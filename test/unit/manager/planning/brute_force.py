@@ -412,9 +412,9 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
         if isinstance(source, Live):
             tags, kind = list(live[source]), source.datatype
         else:
-            step = made[source.label, source.bindings]
-            ports = {port.name: port for port in library[step.action.label].ports}
-            tags = bound(tags_of(ports[source.port]), dict(step.bindings))
+            step = made[source.instance]
+            ports = {port.name: port for port in library[step.instance.label].ports}
+            tags = bound(tags_of(ports[source.port]), dict(step.instance.bindings))
             kind = ports[source.port].datatype
         assert fits(tags, kind, demanded, datatype, bindings, ontology)
         if bindings:
@@ -424,8 +424,8 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
             assert {ontology.canonical(bindings[arg]) for arg in wanted} <= canonical
 
     for step in plan.steps:
-        transformation = library[step.action.label]
-        bindings = dict(step.bindings)
+        transformation = library[step.instance.label]
+        bindings = dict(step.instance.bindings)
         terms = [term for port in transformation.ports for term in tags_of(port)]
         has_inputs = any(port.direction == "in" for port in transformation.ports)
         assert sorted(bindings) == variables_in(terms) or not has_inputs
@@ -434,11 +434,13 @@ def assert_valid(plan: Plan, problem: Problem) -> None:
         assert [name for name, _ in step.inputs] == [port.name for port in ports]
         for port, (_, source) in zip(ports, step.inputs):
             check(source, tags_of(port), port.datatype, bindings)
-        assert (step.action.label, step.bindings) not in made
-        made[step.action.label, step.bindings] = step
+        assert step.instance not in made
+        made[step.instance] = step
     goal = sorted(problem.goal.tags)
     assert is_typed(goal, dict(plan.bindings), ontology)
     check(plan.goal, goal, problem.goal.datatype, dict(plan.bindings))
-    steps = [Instance(library[step.action.label], dict(step.bindings)) for step in plan.steps]
-    charges = [step.action.charge for step in plan.steps] + [charge for _, charge in plan.charges]
-    assert plan.cost == plan.total == cost_of(steps, problem) + sum(charges)
+    steps = [
+        Instance(library[step.instance.label], dict(step.instance.bindings)) for step in plan.steps
+    ]
+    charges = [step.charge for step in plan.steps] + [charge for _, charge in plan.charges]
+    assert plan.cost == cost_of(steps, problem) + sum(charges)

@@ -47,4 +47,4 @@ def planner_with(
 def labels(answer: Answer) -> List[str]:
     """Return the labels of a plan's steps."""
     assert isinstance(answer, Plan)
-    return [step.action.label for step in answer.steps]
+    return [step.instance.label for step in answer.steps]

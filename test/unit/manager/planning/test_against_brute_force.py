@@ -119,9 +119,9 @@ def judge(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> Counter[str]
         plans=1,
         proven=answer.least_cost == answer.cost,
         dearer=expected > at_any_age,
-        bound=any(step.bindings for step in answer.steps),
-        several=any(len(step.bindings) > 1 for step in answer.steps),
-        charged=any(step.action.charge for step in answer.steps) or bool(answer.charges),
+        bound=any(step.instance.bindings for step in answer.steps),
+        several=any(len(step.instance.bindings) > 1 for step in answer.steps),
+        charged=any(step.charge for step in answer.steps) or bool(answer.charges),
         other="nodelets" in kind and expected != least_cost(_with_one_of_each(problem)),
     )
 
@@ -222,7 +222,7 @@ def test_each_nodelet_that_is_free_saves_the_cost_of_one() -> None:
             continue
         assert_valid(answer, problem)
         assert answer.cost == answer.least_cost == expected, seed
-        costs = [step.action.cost for step in answer.steps if step.action.label == "rectifier"]
+        costs = [step.cost for step in answer.steps if step.instance.label == "rectifier"]
         twice += costs.count(0) > 1
         dearer += any(costs)
     assert twice > 60 and dearer > 40 and none > 10

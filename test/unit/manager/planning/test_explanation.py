@@ -22,7 +22,7 @@ from unit.manager.planning.random_problems import look_up_by_name, random_proble
 from unit.manager.witness import Concepts
 
 from dyknow.manager.planning.explanation import Entry, as_tree, read_tree, tree_as_dot
-from dyknow.manager.planning.problem import Action, Live, New, NoPlan, Plan, PlanStep
+from dyknow.manager.planning.problem import Instance, Live, New, NoPlan, Plan, PlanStep
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.streams import StreamRequest
 from dyknow.model.transformation import Transformation
@@ -50,12 +50,12 @@ def test_a_plan_is_a_tree_that_a_person_can_read(plan: Plan) -> None:
 
 def test_shared_parts_are_told_once_and_depth_does_not_matter() -> None:
     depth = 300
-    steps = [PlanStep(Action("level 0", 1), ())]
+    steps = [PlanStep(Instance("level 0"), (), 1)]
     for level in range(1, depth):
-        below = New(f"level {level - 1}", "out")
+        below = New(Instance(f"level {level - 1}"), "out")
         inputs = (("left", below), ("right", below))
-        steps.append(PlanStep(Action(f"level {level}", 1), inputs))
-    diamonds = Plan(demand("X"), New(f"level {depth - 1}", "out"), tuple(steps), depth)
+        steps.append(PlanStep(Instance(f"level {level}"), inputs, 1))
+    diamonds = Plan(demand("X"), New(Instance(f"level {depth - 1}"), "out"), tuple(steps))
     text = as_tree(diamonds)
     assert len(text.split("\n")) == 2 * depth
     assert text.count("shared, see above") == depth - 1
@@ -99,15 +99,15 @@ def test_a_drawing_is_one_that_graphviz_understands(plan: Plan) -> None:
 
 def test_instances_of_one_transformation_are_told_apart() -> None:
     def camera(name: str) -> PlanStep:
-        return PlanStep(Action("camera", 5), (), (("?c", name),))
+        return PlanStep(Instance("camera", (("?c", name),)), (), 5)
 
     inputs = tuple(
-        (port, New("camera", "image", (("?c", name),)))
+        (port, New(Instance("camera", (("?c", name),)), "image"))
         for port, name in (("l", "cam1"), ("r", "cam2"))
     )
-    stereo = PlanStep(Action("stereo", 1), inputs, (("?a", "cam1"), ("?b", "cam2")))
-    goal = New("stereo", "depth", stereo.bindings)
-    answer = Plan(demand("X"), goal, (camera("cam1"), camera("cam2"), stereo), 11, 10)
+    stereo = PlanStep(Instance("stereo", (("?a", "cam1"), ("?b", "cam2"))), inputs, 1)
+    goal = New(stereo.instance, "depth")
+    answer = Plan(demand("X"), goal, (camera("cam1"), camera("cam2"), stereo), 10)
     text = as_tree(answer)
     assert text == (
         "X: cost 11 (at most 10 % above the least possible)\n"
@@ -132,7 +132,7 @@ def test_instances_of_one_transformation_are_told_apart() -> None:
 )
 def test_the_title_tells_how_good_a_plan_is(least: int, is_cut_short: bool, title: str) -> None:
     running = Live("/b", "planes", "/mine", "subsampler", "")
-    answer = Plan(demand("X"), running, (), 100, least, (), is_cut_short)
+    answer = Plan(demand("X"), running, (), least, (), is_cut_short, (("/mine", 100),))
     assert as_tree(answer).split("\n")[0] == f"X: cost 100 ({title})"
 
 

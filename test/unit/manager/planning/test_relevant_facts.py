@@ -28,8 +28,8 @@ _MANY_STEPS = 10**9
 
 def indexed(large: PlanningLibrary) -> OperatorIndex:
     names = Names(NO_ONTOLOGY)
-    actions = Reader(names).read(large.transformations)
-    return OperatorIndex(names, {}, {}, {}).changed(set(), actions)
+    actions = [*map(Reader(names).read, large.transformations)]
+    return OperatorIndex(names, {}, {}).changed(set(), actions)
 
 
 def looked_at(index: OperatorIndex, tag: str) -> int:

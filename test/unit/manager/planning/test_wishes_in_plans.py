@@ -48,7 +48,7 @@ def test_where_there_is_a_choice_the_preferred_one_is_taken() -> None:
     answer = plan(("ceiling",))
     assert labels(answer) == ["ceiling", "filter"]
     assert answer.cost == answer.least_cost == 6
-    assert {step.action.charge for step in answer.steps} == {0}
+    assert {step.charge for step in answer.steps} == {0}
 
 
 def test_what_is_avoided_is_taken_only_without_a_choice() -> None:
