@@ -19,11 +19,12 @@ import collections
 from dataclasses import dataclass, field
 from typing import Callable, Mapping, NamedTuple, Tuple
 
+from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Count, Host, Listening
 from dyknow.manager.record import Record
 from dyknow.model.graph import State
-from dyknow.model.transformation import IN
+from dyknow.model.transformation import IN, OUT
 
 #: Seconds without an answer after which a nodelet is unresponsive.
 _UNANSWERED = 2.0
@@ -159,6 +160,79 @@ class Flow:
     def is_age_unknown(self) -> bool:
         """Whether enough messages have come, and the age of none of them is known."""
         return len(self._samples) > SAMPLES and not self.ages()
+
+
+Flows = Mapping[Place, Flow]
+
+
+class Stream:
+    """The stream of a claim: its parts, and their messages since it was connected last."""
+
+    def __init__(self, claim: Claim, now: float) -> None:
+        self.claim = claim  # whose it is
+        self.changed = now  # when it was changed last, or made whole again
+        #: Out-ports and ordinary topics, each with the topic on which it sends.
+        self.topics: dict[Place, str] = {}
+        #: The highest rate of each place while the stream was fast enough (Hz).
+        self.usual: dict[Place, float] = {}
+        self._connected = NEVER
+        #: The first and the last moment at which it kept a limit, by the limit's name.
+        self._good: dict[str, tuple[float, float]] = {}
+        self._senders: dict[str, list[Place]] = {}
+        self._read_at = -1
+
+    def connected(self, now: float) -> None:
+        """Forget the messages that came before parts were connected elsewhere."""
+        self._connected = now
+        self.usual, self._good = {}, {}
+
+    def follow(self, claim: Claim, graph: Graph) -> Stream:
+        """Read the parts of the stream, if anything has changed."""
+        revision = graph.revision  # first: a change meanwhile counts the next time
+        if self.claim is claim and self._read_at == revision:
+            return self
+        self.claim, self._read_at = claim, revision
+        self.topics = {("", topic): topic for topic in claim.sources}
+        for name in claim.nodelets:
+            record = graph.find(name)
+            if name == claim.monitor:
+                continue  # it judges the stream, and is no part of it
+            if record is not None and record.state is State.RUNNING:
+                outs = {port.name for port in record.declared if port.direction == OUT}
+                for port, topic in claim.wiring[name].items():
+                    if port in outs:
+                        self.topics[name, port] = topic
+        self._senders = {}
+        for place, topic in sorted(self.topics.items()):
+            self._senders.setdefault(topic, []).append(place)
+        return self
+
+    @property
+    def goal(self) -> Place:
+        """The place that publishes on the topic of the client."""
+        return self.claim.goal if self.claim.goal[0] else ("", self.claim.topic)
+
+    def suppliers(self, place: Place) -> list[list[Place]]:
+        """List the suppliers of a place, by in-port of its nodelet."""
+        name, _ = place
+        topics = self.claim.wiring.get(name, {}).values()
+        feeding = [
+            [each for each in self._senders.get(topic, ()) if each[0] != name] for topic in topics
+        ]
+        return [senders for senders in feeding if senders]
+
+    def ages(self, place: Place, flows: Flows) -> list[float]:
+        """Known ages of the messages of a place since it was connected."""
+        return flows[place].ages(self._connected) if place in flows else []
+
+    def note_good(self, limit: str, now: float) -> None:
+        since, _ = self._good.get(limit, (now, now))
+        self._good[limit] = since, now
+
+    def served(self, limit: str) -> float:
+        """Seconds for which it kept a limit."""
+        since, until = self._good.get(limit, (0.0, 0.0))
+        return until - since
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import Callable, Collection, Hashable, Iterable
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
-from dyknow.manager.claims.flows import WINDOW, FlowMeter, Place, Watch
+from dyknow.manager.claims.flows import WINDOW, FlowMeter, Place, Stream, Watch
 from dyknow.manager.claims.limits import (
     COUNTS,
     FIRST_MESSAGE,
@@ -27,7 +27,6 @@ from dyknow.manager.claims.limits import (
     Limit,
     Rate,
     Silence,
-    Stream,
 )
 from dyknow.manager.claims.requirements import Requirements
 from dyknow.manager.claims.world import World
@@ -245,7 +244,7 @@ class StreamMonitor:
         _log.warning("claim %s: %s", claim_id, judgement.what)
         if record is not None:
             key = f"{claim_id} {record.label}"
-            self._failures_for_claims.served(key, stream.served(limit))
+            self._failures_for_claims.served(key, stream.served(limit.name))
             self._failures_for_claims.failed(key)
 
     def _forgive(self, claim_ids: set[str]) -> None:

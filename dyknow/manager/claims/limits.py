@@ -23,10 +23,7 @@ from abc import ABC, abstractmethod
 from typing import Callable, Collection, Mapping, NamedTuple
 
 from dyknow.manager.claim import Claim
-from dyknow.manager.claims.flows import NEVER, SAMPLES, WINDOW, Flow, Place, Span, Watch
-from dyknow.manager.graph import Graph
-from dyknow.model.graph import State
-from dyknow.model.transformation import OUT
+from dyknow.manager.claims.flows import SAMPLES, WINDOW, Flow, Flows, Place, Span, Stream, Watch
 
 #: Seconds that a part may take to send its first message, if the claim does not allow more.
 FIRST_MESSAGE = 2.0
@@ -45,77 +42,7 @@ _THIRD = SAMPLES // 3
 #: The part of the limit that a place may use up, however much those behind it add.
 _FAIR_PART = 0.5
 
-Flows = Mapping[Place, Flow]
 Spans = Mapping[Place, Span]
-
-
-class Stream:
-    """The stream of a claim: its parts, and their messages since it was connected last."""
-
-    def __init__(self, claim: Claim, now: float) -> None:
-        self.claim = claim  # whose it is
-        self.changed = now  # when it was changed last, or made whole again
-        #: Out-ports and ordinary topics, each with the topic on which it sends.
-        self.topics: dict[Place, str] = {}
-        #: The highest rate of each place while the stream was fast enough (Hz).
-        self.usual: dict[Place, float] = {}
-        self._connected = NEVER
-        self._good: dict[Limit, tuple[float, float]] = {}
-        self._senders: dict[str, list[Place]] = {}
-        self._read_at = -1
-
-    def connected(self, now: float) -> None:
-        """Forget the messages that came before parts were connected elsewhere."""
-        self._connected = now
-        self.usual, self._good = {}, {}
-
-    def follow(self, claim: Claim, graph: Graph) -> Stream:
-        """Read the parts of the stream, if anything has changed."""
-        revision = graph.revision  # first: a change meanwhile counts the next time
-        if self.claim is claim and self._read_at == revision:
-            return self
-        self.claim, self._read_at = claim, revision
-        self.topics = {("", topic): topic for topic in claim.sources}
-        for name in claim.nodelets:
-            record = graph.find(name)
-            if name == claim.monitor:
-                continue  # it judges the stream, and is no part of it
-            if record is not None and record.state is State.RUNNING:
-                outs = {port.name for port in record.declared if port.direction == OUT}
-                for port, topic in claim.wiring[name].items():
-                    if port in outs:
-                        self.topics[name, port] = topic
-        self._senders = {}
-        for place, topic in sorted(self.topics.items()):
-            self._senders.setdefault(topic, []).append(place)
-        return self
-
-    @property
-    def goal(self) -> Place:
-        """The place that publishes on the topic of the client."""
-        return self.claim.goal if self.claim.goal[0] else ("", self.claim.topic)
-
-    def suppliers(self, place: Place) -> list[list[Place]]:
-        """List the suppliers of a place, by in-port of its nodelet."""
-        name, _ = place
-        topics = self.claim.wiring.get(name, {}).values()
-        feeding = [
-            [each for each in self._senders.get(topic, ()) if each[0] != name] for topic in topics
-        ]
-        return [senders for senders in feeding if senders]
-
-    def ages(self, place: Place, flows: Flows) -> list[float]:
-        """Known ages of the messages of a place since it was connected."""
-        return flows[place].ages(self._connected) if place in flows else []
-
-    def note_good(self, limit: Limit, now: float) -> None:
-        since, _ = self._good.get(limit, (now, now))
-        self._good[limit] = since, now
-
-    def served(self, limit: Limit) -> float:
-        """Seconds for which it kept a limit."""
-        since, until = self._good.get(limit, (0.0, 0.0))
-        return until - since
 
 
 class Judgement(NamedTuple):
@@ -234,7 +161,7 @@ class Rate(Limit):
         is_there = stream.goal in spans  # not so if its nodelet is lost
         is_below = self.falls_short(flows.get(stream.goal), limit) if is_there else None
         if is_below is False:
-            stream.note_good(self, now)
+            stream.note_good(self.name, now)
             for place, span in spans.items():
                 stream.usual[place] = max(span.rate, stream.usual.get(place, 0.0))
         bottleneck = self._bottleneck(stream, spans) if is_below else None
@@ -312,7 +239,7 @@ class Age(Limit):
         ages = stream.ages(stream.goal, flows)
         is_late = _are_above(ages, limit)
         if is_late is False:
-            stream.note_good(self, now)
+            stream.note_good(self.name, now)
         if not is_late:
             return []
         place, added = self._bottleneck(stream, flows)
