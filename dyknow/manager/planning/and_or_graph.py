@@ -305,7 +305,9 @@ class Reach(AndOrGraph):
         return self.cheapest(self.costs, use_sum=False)[0]
 
     def forced(self) -> int:
-        """Return the cost of the instances that every plan has, if no names are to be bound."""
+        """Return the cost of the instances that every plan has; 0 if names are to be bound."""
+        if not self.is_simple:
+            return 0
         found = {}
         waiting = [0]
         for node in waiting:  # grows meanwhile

@@ -47,11 +47,12 @@ _EACH_RISE = 5_000_000
 class Budget:
     """Counts steps, so that equal problems have equal plans; the clock is the last resort."""
 
-    def __init__(self, seconds: float, clock: Callable[[], float]) -> None:
+    def __init__(self, seconds: float, clock: Callable[[], float], spent: int = 0) -> None:
+        """Begin with the steps of so many seconds, without those that were spent."""
         self._clock = clock
         self._seconds = seconds
         self._deadline: float | None = None
-        self.steps = int(seconds * STEPS)  # those that are left
+        self.steps = int(seconds * STEPS) - spent  # those that are left
         #: Whether the clock, which begins with the first step of the improvement, ended it.
         self.is_cut_short = False
 
@@ -101,10 +102,7 @@ def allowed(reach: Reach, draft: Draft) -> tuple[Draft, bool, bool]:
 
 def improve(reach: Reach, draft: Draft, budget: Budget) -> tuple[Draft, int]:
     """Return a draft of less cost, or the given one, and a cost that no plan is below."""
-    floor = reach.forced() if reach.is_simple else 0
-    if draft.cost <= floor:
-        return draft, draft.cost
-    floor = min(max(floor, reach.floors.get(0, draft.cost)), draft.cost)
+    floor = min(max(reach.forced(), reach.floors.get(0, draft.cost)), draft.cost)
     if draft.cost == floor or len(draft.order) > _MOST_INSTANCES:
         return draft, floor
     if not budget.spend(BOUNDED * reach.size):

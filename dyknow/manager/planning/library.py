@@ -126,10 +126,7 @@ class Operator:
     def in_ports(self) -> list[Port]:
         """The tagged in-ports, in the order written."""
         ports = self.transformation.ports if self.transformation is not None else ()
-        tagged = [port for port in ports if port.direction == IN and port.tags]
-        if len(tagged) == len(self.inputs):
-            return tagged
-        return [port for port in tagged if read_tags(port.tags)]
+        return [port for port in ports if port.direction == IN and read_tags(port.tags)]
 
 
 class Offer(NamedTuple):
@@ -366,8 +363,7 @@ class Reader:
                 self._by_text.clear()
 
     def read(self, transformation: Transformation) -> Operator:
-        ports = [each for each in transformation.ports if each.direction == IN and each.tags]
-        ports = [port for port in ports if read_tags(port.tags)]
+        ports = [e for e in transformation.ports if e.direction == IN and read_tags(e.tags)]
         outs = [port for port in transformation.ports if port.direction == OUT and port.tags]
         variables: tuple[str, ...] = ()
         types: tuple[Types, ...] = ()

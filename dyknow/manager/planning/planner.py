@@ -139,16 +139,15 @@ class Planner:
         return replace(strict, least_cost=min(strict.least_cost, answer.least_cost))
 
     def _answer(self, request: Request, budget: float) -> Answer:
-        demand, improving = request.demand, Budget(budget, self._clock)
-        reach = Reach(request)
-        improving.steps -= BOUNDED * reach.size
+        demand, reach = request.demand, Reach(request)
+        spent = BOUNDED * reach.size
         _, way = reach.trees
         if reach.is_simple and 0 in way:
             draft = reach.drafted(way)
         else:
             search = Search(reach)
             steps = _SEARCH + int(budget * STEPS)
-            improving.steps -= steps - search.run(steps)
+            spent += steps - search.run(steps)
             if not search.goal.answers:
                 return no_plan(search)
             draft = search.graph.drafted(search.way)
@@ -161,6 +160,9 @@ class Planner:
                 return NoPlan(demand, (), False, draft.latency / 1e6)
             if not is_found:
                 return NoPlan(demand, (), is_proven, is_cut_short=not is_proven)
+        if draft.cost <= reach.forced():
+            return _written(draft, draft.cost)
+        improving = Budget(budget, self._clock, spent)
         draft, least_cost = improve(reach, draft, improving)
         return _written(draft, least_cost, improving.is_cut_short)
 
@@ -313,7 +315,7 @@ class _Writer:
         raise AssertionError(f"{source} does not supply {demanded}")
 
 
-def _written(draft: Draft, least_cost: int, is_cut_short: bool) -> Plan:
+def _written(draft: Draft, least_cost: int, is_cut_short: bool = False) -> Plan:
     graph, request = draft.graph, draft.graph.request
     writer = _Writer(draft)
     steps: list[PlanStep] = []
