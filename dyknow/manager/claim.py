@@ -148,13 +148,7 @@ class Claim:
 
 def demand_of(claims: Iterable[Claim]) -> Demand:
     """Return what one stream has to be to satisfy all these claims."""
-    demands = [claim.demand for claim in claims]
-    return Demand(
-        frozenset().union(*[each.tags for each in demands]),
-        demands[0].datatype or max([each.datatype for each in demands]),
-        max([each.min_rate for each in demands]),
-        min([each.max_age for each in demands if each.max_age], default=0.0),
-    )
+    return functools.reduce(Demand.both, [claim.demand for claim in claims])
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class Graph:
     def _check_new(self, name: str, most: int) -> None:
         if name in self.records:
             raise NameTaken(name)
-        ours = sum(not each.owner for each in self.records.values())
+        ours = len([each for each in self.records.values() if not each.owner])
         count = ours + len(self._busy - self.records.keys()) + 1
         if count > most:
             raise LimitExceeded("nodelets", count, most)
@@ -170,18 +170,19 @@ class Graph:
         With ``soon`` they are written with the next change, or by the next look.
         """
         with self._turn:
-            new = [each for each in records if self.find(each.name) != each]
+            new = {each.name: each for each in records if self.records.get(each.name) != each}
             if not new:
                 return
             bodies = {
-                ("nodelets", each.name): each.body() if each.is_stored else None for each in new
+                ("nodelets", name): each.body() if each.is_stored else None
+                for name, each in new.items()
             }
             (self._store.write_later if soon else self._store.write)(bodies)
             self._reserve()
             with self._changed:
-                for record in new:
+                for record in new.values():
                     self._note_life(record)
-                self._show({**self.records, **{record.name: record for record in new}})
+                self._show({**self.records, **new})
         self.on_change()
 
     def remove(self, name: str) -> None:

@@ -47,7 +47,7 @@ class Manager:
         self.host = context.host
         self.store = context.store
         self.graph = context.graph
-        self._namespace = context.namespace
+        self.namespace = context.namespace  # where relative names begin
         self.lifecycle = Lifecycle(context)
         self._restarts = Restarts(context, self.lifecycle)
         self.observer = Observer(context, self.lifecycle)
@@ -96,7 +96,7 @@ class Manager:
     def resolve(self, name: str) -> str:
         """Make the name of a nodelet global."""
         what = "nodelet name"
-        return names.resolve(names.check(name, what), self._namespace, "/", what)
+        return names.resolve(names.check(name, what), self.namespace, "/", what)
 
     def spawn(self, request: SpawnRequest) -> Record:
         """Make a nodelet, which runs and is connected when this returns; else nothing is left."""

@@ -172,15 +172,15 @@ def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState,
     report, or only with the topic: a lazy one subscribes once another node listens to it. They are
     shown as declared, except for an external node, whose topics are unknown.
     """
-    declared = {port.name: port for port in declared_ports(record)}
-    seen = {
-        port.name: replace(declared[port.name], topic=port.topic)
-        if port.name in declared and not port.datatype
-        else replace(port, tags=declared[port.name].tags if port.name in declared else ())
-        for port in ports
-    }
+    declared = {port.name: port for port in record.declared}
+    seen = {}
+    for port in ports:
+        known = declared.get(port.name)
+        if known is not None and not port.datatype:
+            port = replace(port, direction=known.direction, datatype=known.datatype)
+        seen[port.name] = replace(port, tags=known.tags if known is not None else ())
     if not (record.kind.is_written_for_dyknow or record.is_described):
-        seen.update({name: port for name, port in declared.items() if name not in seen})
+        seen.update({each.name: each for each in declared_ports(record) if each.name not in seen})
     return tuple(seen.values())
 
 

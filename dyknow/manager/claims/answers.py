@@ -46,12 +46,14 @@ _SETTLED = 3.0
 def refusal(manager: Manager, answer: NoPlan, exclude: Sequence[str]) -> str:
     """Explain to a client why there is no plan."""
     excluded = f" (excluded: {listed(exclude)})" if exclude and not answer.obstacles else ""
-    unknown = [f"; {each}" for each in unknown_labels(manager, exclude)] if exclude else []
+    unknown = [f"; {each}" for each in unknown_labels(manager, exclude)]
     return "".join([str(answer), excluded, _similar_tags(manager, answer), *unknown])
 
 
 def unknown_labels(manager: Manager, exclude: Sequence[str]) -> tuple[str, ...]:
     """Say which of the labels that a client excludes belong to nothing."""
+    if not exclude:
+        return ()
     known = {each.label for each in manager.library.all()}
     known |= {record.label for record in manager.graph.all()}
     unknown = [label for label in exclude if label not in known]

@@ -278,27 +278,26 @@ class Assembly(Transaction):
         An in-port whose type may not fit that of its supplier is connected later. The out-ports of
         ``outputs`` get topics of their own.
         """
+        try:
+            kind = self._manager.host.kind_of(transformation)
+        except DyKnowError:
+            self.failed_label = transformation.label
+            raise
         types = {port.name: port.datatype for port in transformation.ports}
-        topics = {port: supply.topic for port, supply in supplies.items()}
-        certain = {
-            port: supply.topic
-            for port, supply in supplies.items()
-            if types.get(port, "") not in ANY
-            and supply.datatype not in ANY
-            and types_fit(types[port], supply.datatype)
-        }
+        inputs = {}
+        for port, supply in supplies.items():
+            wanted, found = types.get(port, ""), supply.datatype
+            is_certain = wanted not in ANY and found not in ANY and types_fit(wanted, found)
+            if is_certain or not kind.is_written_for_dyknow:
+                inputs[port] = supply.topic
+        near = [supply.topic for supply in supplies.values()]
         for name in self._free_names(transformation.label):
             self._context.lock.reserve([name])
-            try:
-                kind = self._manager.host.kind_of(transformation)
-            except DyKnowError:
-                self.failed_label = transformation.label
-                raise
             own = {port: names.topic_after(name, port) for port in sorted(outputs)}
-            config = {**(certain if kind.is_written_for_dyknow else topics), **own}
+            config = {**inputs, **own}
             request = SpawnRequest(transformation.label, name, config, parameters=given)
             try:
-                self.spawn(transformation, request, topics.values())
+                self.spawn(transformation, request, near)
             except NameTaken:
                 continue
             return name
@@ -380,7 +379,7 @@ class Assembly(Transaction):
         if not stem[:1].isalpha():
             stem = f"nodelet_{stem}".rstrip("_")
         for number in range(1, _MOST_NAMES):
-            name = self._manager.resolve(f"{stem}_{number}")
+            name = names.join(self._manager.namespace, f"{stem}_{number}")
             left = [topic for topic in taken if topic.startswith(name + "/")]
             if not left and name not in records and not self._manager.graph.is_busy(name):
                 yield name

@@ -351,6 +351,8 @@ class ClaimPlanner:
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""
+        if not own:
+            return {}
         used = self._used_as_they_are(plan)
         return assigned(plan, [each for each in own if each.name not in used], self._ontology)
 
@@ -370,14 +372,13 @@ class ClaimPlanner:
         """Read all that a plan for a claim follows from."""
         claims, known = self._table.together(claim), self.transformations()
         exclude = avoid.union(*(each.request.exclude for each in claims))
-        own = tuple(each for each in self.own(claim, without, known) if each.label not in exclude)
         streams = tuple(self._streams(exclude, self._monitor.unfit(claims).keys() | without))
         return Situation(
             demand_of(claims),
             claim.topic,
             streams,
             self._without_relays(streams),
-            own,
+            tuple(self.own(claim, without, known)),
             exclude,
             self._monitor.paused(claims),
             self._world().described_nodes,
@@ -657,8 +658,6 @@ def assigned(plan: Plan, own: Sequence[OwnNodelet], ontology: Subsumption) -> di
     As few as possible do. The preferred nodelets come first in ``own``. Those that stay as they
     are take precedence, since nothing that they supply changes.
     """
-    if not own:
-        return {}
     begun: dict[Instance, str] = {}
     fitting: dict[Instance, list[str]] = {}
     for instance in [step.instance for step in plan.steps]:

@@ -67,8 +67,8 @@ class ClaimTable:
 
     def together(self, claim: Claim) -> list[Claim]:
         """Return the claims whose clients listen where this one's does; this one first."""
-        others = [each for each in self.living if each.claim_id != claim.claim_id]
-        return [claim, *(each for each in others if each.topic and each.topic == claim.topic)]
+        here = [each for each in self.living if each.topic and each.topic == claim.topic]
+        return [claim, *[each for each in here if each.claim_id != claim.claim_id]]
 
     def find(self, claim_id: str) -> Claim | None:
         """Return a claim that has not ended, or None."""
@@ -177,8 +177,8 @@ class ClaimTable:
 
     def _sort(self) -> None:
         """Find the claims that have not ended; with the lock of the state held."""
-        claims = (self._claims[claim_id] for claim_id in sorted(self._claims))
-        self.living = tuple(claim for claim in claims if not claim.state.ended)
+        claims = sorted(self._claims.items())
+        self.living = tuple([claim for _, claim in claims if not claim.state.ended])
 
 
 def _is_late(claim: Claim, now: float) -> bool:

@@ -211,11 +211,13 @@ class World:
 
     def publishers(self, topic: str) -> list[tuple[Record, list[str]]]:
         """Return the nodelets that run and publish on a topic, each with its ports there."""
-        on_topic = {each.nodelet for each in self._producers.get(topic, ())}
-        records = [self.records[name] for name in sorted(on_topic - {""})]
-        running = [each for each in records if each.state is State.RUNNING]
-        found = [(each, ports_on(each, OUT, topic)) for each in running]
-        return [each for each in found if each[1]]
+        found = []
+        for name in sorted({each.nodelet for each in self._producers.get(topic, ())} - {""}):
+            record = self.records[name]
+            ports = ports_on(record, OUT, topic)
+            if ports and record.state is State.RUNNING:
+                found.append((record, ports))
+        return found
 
     def upstream(
         self, nodelets: Iterable[str], ordinary: AbstractSet[str]
@@ -323,10 +325,10 @@ class World:
 
     def common_tags(self, topic: str, tags: tuple[Term, ...]) -> tuple[Term, ...]:
         """Return those of a stream's tags that hold for everything that is sent on its topic."""
-        demands = [(tag, Demand(frozenset((tag,)))) for tag in tags]
         for each in self.producers(topic):
-            demands = [pair for pair in demands if self.serves(each, pair[1])]
-        return tuple([tag for tag, _ in demands])
+            if each.tags != tags:
+                tags = tuple([tag for tag in tags if self.serves(each, Demand(frozenset((tag,))))])
+        return tags
 
     def sent(self, nodelet: str, port: str) -> Producer:
         """Return an out-port as a producer; without tags if these are not certain."""

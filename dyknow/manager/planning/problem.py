@@ -46,6 +46,15 @@ class Demand(NamedTuple):
         age = f"at most {self.max_age:g} s old" if self.max_age else ""
         return write_demand(map(str, self.tags), self.datatype, rate, age)
 
+    def both(self, other: Demand) -> Demand:
+        """Return what a stream has to be that meets another demand as well."""
+        return Demand(
+            self.tags | other.tags,
+            self.datatype or other.datatype,
+            max(self.min_rate, other.min_rate),
+            min(filter(None, (self.max_age, other.max_age)), default=0.0),
+        )
+
     def is_fast(self, rate: float) -> bool:
         """Whether a rate will do; 0 stands for one that is not stated."""
         return not rate or rate >= self.min_rate
@@ -256,9 +265,10 @@ def ways_to_meet(
     ontology: Subsumption = NO_ONTOLOGY,
     bindings: Mapping[str, str] = NO_BINDINGS,
 ) -> Iterator[dict[str, str]]:
-    """Yield the bindings of each way in which a stream meets a demand, given some of them.
+    """Return the bindings of each way in which a stream meets a demand, given some of them.
 
     Tags of the stream that have variables supply nothing.
     """
-    if types_fit(datatype, demand.datatype):
-        yield from unify_all(tags, sorted(demand.tags), ontology, bindings)
+    if not types_fit(datatype, demand.datatype):
+        return iter(())
+    return unify_all(tags, sorted(demand.tags), ontology, bindings)

@@ -269,7 +269,7 @@ class ManagerServices:
     def _acquire(self, request: Any) -> Any:
         wanted = acquire_from(request)
         acquired = self._reconciler.acquire(wanted, request.dry_run)
-        unknown = unknown_labels(self._manager, wanted.exclude) if wanted.exclude else ()
+        unknown = unknown_labels(self._manager, wanted.exclude)
         return acquisition_message(self._answers.acquisition(acquired, unknown))
 
     def _release(self, request: Any) -> None:
