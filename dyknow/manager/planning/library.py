@@ -188,8 +188,9 @@ class Bucket:
         return sorted({head for heads in best for head in heads}, key=_by_order)
 
 
-Buckets = Dict[Tuple[str, int, bool], Bucket]
-"""By the functor and the length of the atom; those of facts and of makers apart."""
+_Key = Tuple[str, int, bool]
+"""A functor, the length of the atom, and whether they are makers, not facts."""
+Buckets = Dict[_Key, Bucket]
 
 
 class OperatorIndex:
@@ -266,24 +267,28 @@ class OperatorIndex:
 
 def bucketed(heads: Iterable[Head]) -> Buckets:
     """Sort heads into buckets."""
-    found: dict[tuple[str, int, bool], dict[Head, None]] = {}
+    return {key: Bucket(*key[:2], some) for key, some in _by_key(heads).items()}
+
+
+def _by_key(heads: Iterable[Head]) -> dict[_Key, dict[Head, None]]:
+    found: dict[_Key, dict[Head, None]] = {}
     for head in heads:
         is_maker = bool(head.action.inputs)
         for atom in head.atoms:
             found.setdefault((str(atom[0]), len(atom), is_maker), {})[head] = None
-    return {key: Bucket(*key[:2], some) for key, some in found.items()}
+    return found
 
 
 def _edited(old: Buckets, gone: set[Operator], come: Iterable[Operator]) -> Buckets:
     """Return buckets without the heads of some actions, and with those of other actions."""
     new = dict(old)
-    more = bucketed([head for action in come for head in action.heads])
-    for key in {*bucketed([head for action in gone for head in action.heads]), *more}:
-        heads = old[key].heads if key in old else []
-        if gone:
-            heads = [head for head in heads if head.action not in gone]
-        if key in more:
-            heads = heads + more[key].heads
+    less, more = (
+        _by_key([head for action in some for head in action.heads]) for some in (gone, come)
+    )
+    for key in {*less, *more}:
+        heads = {**dict.fromkeys(old[key].heads if key in old else ()), **more.get(key, {})}
+        for head in less.get(key, ()):
+            heads.pop(head, None)
         if heads:
             new[key] = Bucket(*key[:2], heads)
         else:

@@ -116,8 +116,8 @@ class Request:
         self._barred = {actions[each] for each in (*exclude, *paused) if each in actions}
         self._barred -= self.scarce
         self._verdicts = verdicts
-        guarded = [each for each in library.guarded if not each.variables]
-        self._barred.update(each for each in guarded if self.is_barred(each, ()))
+        guarded = library.guarded
+        self._barred.update([e for e in guarded if not e.variables and self.is_barred(e, ())])
         #: Charges of actions besides their costs.
         self.charges = {actions[each]: n for each, n in charges.items() if n and each in actions}
         #: Least costs of actions where these differ from the stated ones.
@@ -125,10 +125,12 @@ class Request:
             action: (0 if action in self.kept else action.cost) + self.charges.get(action, 0)
             for action in (*self.kept, *self.charges)
         }
-        self._unusable = [each for each in streams if each[0].label in exclude]
+        self._unusable: list[TaggedStream] = []
         by_name: dict[str, list[TaggedStream]] = {}
         for each in sorted(streams):
-            if each[0].label not in exclude:
+            if each[0].label in exclude:
+                self._unusable.append(each)
+            else:
                 by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
         heads = [
             replace(head, cost=floor)
