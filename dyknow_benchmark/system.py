@@ -104,7 +104,7 @@ def plan(arguments: argparse.Namespace, results: Results) -> None:
             say(f"library '{name}' of {count} transformations")
             library = make(count)
             planner = Planner(library.ontology)
-            loadings.append(seconds(partial(planner.add, library.transformations)))
+            loadings.append(seconds(partial(planner.know, library.transformations)))
             for sort, tags in library.demands.items():
                 times, found = [], 0
                 for tag in tags:

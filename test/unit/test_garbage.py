@@ -92,7 +92,7 @@ def test_plans_are_made_without_a_collection() -> None:
         yield from ()
 
     planner = Planner(Watched())
-    planner.add([make("camera", [], ["Image(a)"]), make("filter", ["Image(a)"], ["Image(b)"])])
+    planner.know([make("camera", [], ["Image(a)"]), make("filter", ["Image(a)"], ["Image(b)"])])
     added = len(states)
     assert isinstance(planner.plan(demand("Image(b)"), streams()), Plan)
     assert planner.bindings(demand("Image(?x)"), streams()) == (

@@ -564,12 +564,8 @@ class ClaimPlanner:
         ontology = self._manager.library.ontology
         if ontology is not self._ontology:
             self._ontology, self._planner, self._planned_with = ontology, Planner(ontology), {}
-        before = self._planned_with
-        if before is not known:
-            gone = [label for label in before if label not in known]
-            if gone:
-                self._planner.remove(*gone)
-            self._planner.add(each for each in known.values() if before.get(each.label) != each)
+        if self._planned_with is not known:
+            self._planner.know(known.values())
             self._planned_with = known
         with self._lock.pause() as is_aside:
             yield self._planner, is_aside

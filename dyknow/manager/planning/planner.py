@@ -79,20 +79,20 @@ class Planner:
     def __len__(self) -> int:
         return len(self._library.actions)
 
-    def add(self, transformations: Iterable[Transformation]) -> None:
-        """Add transformations; those of known labels are replaced. Topics are not actions."""
-        added = {each.label: each for each in transformations}
-        self._change(added, [each for each in added.values() if each.type != TOPIC])
-
-    def remove(self, *labels: str) -> None:
-        """Forget transformations, as far as they are known."""
-        self._change(labels, [])
-
     @without_collection()
-    def _change(self, labels: Iterable[str], added: list[Transformation]) -> None:
+    def know(self, transformations: Iterable[Transformation]) -> None:
+        """Plan with these transformations from now on; only changes are read.
+
+        Topics are not actions.
+        """
+        new = {each.label: each for each in transformations if each.type != TOPIC}
         known = self._library.actions
-        gone = {known[label] for label in labels if label in known}
-        come = [self._reader.read(each) for each in added]
+        gone = {each for label, each in known.items() if each.transformation != new.get(label)}
+        come = [
+            self._reader.read(each)
+            for label, each in new.items()
+            if label not in known or known[label] in gone
+        ]
         self._reader.forget(gone)
         self._library = self._library.changed(gone, come)
 

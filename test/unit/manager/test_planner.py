@@ -30,11 +30,11 @@ def test_a_circle_is_no_plan_and_is_called_one() -> None:
 
 def test_a_replaced_and_a_removed_transformation_are_forgotten() -> None:
     planner = Planner()
-    planner.add([make("a", [], ["A"], 7)])
-    planner.add([make("a", [], ["B"], 3)])
+    planner.know([make("a", [], ["A"], 7)])
+    planner.know([make("a", [], ["B"], 3)])
     assert isinstance(planner.plan(demand("A")), NoPlan)
-    planner.add([make("c", [], ["B"], 3)])
-    planner.remove("a", "c", "nonesuch")
+    planner.know([make("a", [], ["B"], 3), make("c", [], ["B"], 3)])
+    planner.know([])
     assert isinstance(planner.plan(demand("B")), NoPlan)
     assert len(planner) == 0
 
@@ -55,9 +55,9 @@ def test_stacked_diamonds_overflow_nothing() -> None:
 
 def test_what_is_missing_is_named_as_it_is_written_now() -> None:
     planner = Planner()
-    planner.add([make("map", ["Image(?a)", "Pose(?a)"], ["Map(?a)"])])
+    planner.know([make("map", ["Image(?a)", "Pose(?a)"], ["Map(?a)"])])
     assert isinstance(planner.plan(demand("Map(?which)")), NoPlan)
-    planner.add([make("map", ["Image(?b)", "Pose(?b)"], ["Map(?b)"])])
+    planner.know([make("map", ["Image(?b)", "Pose(?b)"], ["Map(?b)"])])
     answer = planner.plan(demand("Map(?which)"))
     assert isinstance(answer, NoPlan)
     assert [str(each) for each in answer.missing] == ["Image(?b)", "Pose(?b)"]
@@ -138,7 +138,7 @@ def test_garbage_of_other_parts_is_collected_between_plans() -> None:
     try:
         young = [planner]
         cameras = [make("camera", [], ["A", "B"], 3), make("other", [], ["A"], 2)]
-        planner.add([*cameras, make("stereo", ["A", "B"], ["C"])])
+        planner.know([*cameras, make("stereo", ["A", "B"], ["C"])])
         assert isinstance(planner.plan(demand("C")), Plan)
         assert any(each is young for each in gc.get_objects(generation=0))
         assert gc.isenabled() and gc.get_threshold()[0] == 10**6

@@ -43,7 +43,7 @@ def transformations(ontology):
 @pytest.fixture
 def plan(ontology, transformations):
     planner = Planner(ontology)
-    planner.add(transformations)
+    planner.know(transformations)
 
     def plan(tag="FieldPosition(ball)", datatype="geometry_msgs/PointStamped", **kwds):
         return planner.plan(Demand(frozenset([parse_tag(tag)]), datatype), **kwds)

@@ -40,7 +40,7 @@ def planner_with(
 ) -> Planner:
     """Make a planner that plans by the count of steps alone, which no other process disturbs."""
     planner = Planner(ontology, clock=lambda: 0.0)
-    planner.add(transformations)
+    planner.know(transformations)
     return planner
 
 

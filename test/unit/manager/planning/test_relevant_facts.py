@@ -101,7 +101,7 @@ def test_a_plan_sees_the_library_as_it_was_when_it_began() -> None:
         try:
             while not any(each.done() for each in threads) and (changes < 200 or len(costs) < 2):
                 changes += 1
-                planner.add(versions[changes % 2])
+                planner.know(versions[changes % 2])
         finally:
             is_over.set()
     assert [each.exception() for each in threads] == [None] * 3

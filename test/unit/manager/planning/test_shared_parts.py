@@ -77,7 +77,7 @@ def plan(
 ) -> Plan:
     """Plan by the count of steps alone, unless there is a clock."""
     planner = Planner(clock=clock)
-    planner.add(library)
+    planner.know(library)
     answer = planner.plan(demand("Goal"), budget=budget)
     assert isinstance(answer, Plan)
     return answer
