@@ -15,9 +15,9 @@ import sys
 from dataclasses import dataclass
 from typing import Callable, Iterable, Iterator, Mapping
 
-from dyknow.errors import Busy, LimitExceeded, NameTaken, UnknownNodelet
+from dyknow.errors import Busy, LimitExceeded, NameTaken
 from dyknow.locks import state_condition, turn_lock
-from dyknow.manager.record import Record
+from dyknow.manager.record import Record, Records
 from dyknow.manager.store import Store
 from dyknow.model.graph import State
 from dyknow.periodic import STEADY, Clock
@@ -50,7 +50,7 @@ class Graph:
         self._turn = turn_lock("nodelets on disk")
         self._changed = state_condition("records of nodelets")
         #: All records by name, sorted; replaced as a whole by every change.
-        self.records: Mapping[str, Record] = {}
+        self.records = Records()
         self._lives: dict[str, _Life] = {}
         self._busy: set[str] = set()
         #: Nodelets that are being restarted: claims wait for them.
@@ -69,10 +69,7 @@ class Graph:
         return list(self.records.values())
 
     def get(self, name: str) -> Record:
-        found = self.records.get(name)
-        if found is None:
-            raise UnknownNodelet(name, self.records)
-        return found
+        return self.records[name]
 
     def find(self, name: str) -> Record | None:
         return self.records.get(name)
@@ -204,7 +201,7 @@ class Graph:
             self._store.write({("facts", "revision"): str(self._reserved)})
 
     def _show(self, records: Mapping[str, Record]) -> None:
-        self.records = dict(sorted(records.items()))
+        self.records = Records(sorted(records.items()))
         self.revision += 1
 
     def _note_life(self, record: Record) -> None:

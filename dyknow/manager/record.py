@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow import names
+from dyknow.errors import UnknownNodelet
 from dyknow.manager.bodies import pack, read_fields, unpack
 from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
@@ -163,6 +164,13 @@ class Record:
         if record.transformation is not None:
             set_on_load(record.transformation, record.parameters)
         return record
+
+
+class Records(Dict[str, Record]):
+    """Records by name; of one that is not there, UnknownNodelet is raised."""
+
+    def __missing__(self, name: str) -> Record:
+        raise UnknownNodelet(name, self)
 
 
 def seen_ports(record: Record, ports: Tuple[PortState, ...]) -> Tuple[PortState, ...]:

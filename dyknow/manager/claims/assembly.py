@@ -142,7 +142,7 @@ class Assembly(Transaction):
         if not name or goal.topic in self._ordinary:
             sources.add(goal.topic)
         if claim.monitor:
-            wiring[claim.monitor] = dict(self.world.get(claim.monitor).topics)
+            wiring[claim.monitor] = dict(self.world.records[claim.monitor].topics)
         claim = replace(
             claim,
             wiring=wiring,
@@ -168,7 +168,7 @@ class Assembly(Transaction):
                     return _Supply(source, name, source.topic, tags, source.datatype)
             raise UnknownTransformation(source.label)
         sent = self.world.sent(name, source.port)
-        topic = self.world.get(name).topics.get(source.port, "")
+        topic = self.world.records[name].topics.get(source.port, "")
         is_new = isinstance(source, New)
         if not topic or (is_new and self.world.common_tags(topic, sent.tags) != sent.tags):
             topic = self._free_topic(name, source.port)
@@ -181,7 +181,7 @@ class Assembly(Transaction):
         supplies = {port: self._supply(source) for port, source in step.inputs}
         name = self._own.get(step.instance, "")
         if name:
-            topics = self.world.get(name).topics
+            topics = self.world.records[name].topics
             self._check_types(name, step, supplies)
             for port, supply in supplies.items():
                 self._await(supply, topics.get(port, ""), supply.topic)
@@ -196,7 +196,7 @@ class Assembly(Transaction):
 
     def _check_types(self, name: str, step: PlanStep, supplies: Mapping[str, _Supply]) -> None:
         """Compare the types of a nodelet's in-ports with those of their suppliers."""
-        types = {port.name: port.datatype for port in self.world.get(name).ports}
+        types = {port.name: port.datatype for port in self.world.records[name].ports}
         label = step.instance.label
         for port, supply in supplies.items():
             wanted, found = types.get(port, ""), supply.datatype
@@ -218,7 +218,7 @@ class Assembly(Transaction):
         if not claim.topic and goal.topic in self._taken_topics() and datatype not in ANY:
             # The clients there want something else, and their stream may change.
             name, port = self._relay(goal), "out"
-            topic = self.world.get(name).topics[port]
+            topic = self.world.records[name].topics[port]
         elif goal.topic != topic:
             if not name or not self._may_move(name, goal.topic):
                 name, port = self._relay(goal, topic), "out"
@@ -308,7 +308,7 @@ class Assembly(Transaction):
         name = supply.nodelet
         if name not in self.spawned or old in ("", new) or not self._flows(old):
             return
-        record, clock = self.world.get(name), self._context.clock
+        record, clock = self.world.records[name], self._context.clock
         if self._deadline is None:
             self._deadline = clock() + _HANDOVER
         with ExitStack() as closing:
@@ -344,7 +344,7 @@ class Assembly(Transaction):
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
         if name in self.spawned or not topic:
             return True
-        if not self.world.get(name).claimed or topic in self._taken_topics():
+        if not self.world.records[name].claimed or topic in self._taken_topics():
             return False
         own = {*self._movable, *self.spawned}
         return not any(

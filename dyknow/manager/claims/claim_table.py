@@ -67,8 +67,10 @@ class ClaimTable:
 
     def together(self, claim: Claim) -> list[Claim]:
         """Return the claims whose clients listen where this one's does; this one first."""
-        here = [each for each in self.living if each.topic and each.topic == claim.topic]
-        return [claim, *[each for each in here if each.claim_id != claim.claim_id]]
+        others = [
+            e for e in self.living if e.topic == claim.topic and e.claim_id != claim.claim_id
+        ]
+        return [claim, *others] if claim.topic else [claim]
 
     def find(self, claim_id: str) -> Claim | None:
         """Return a claim that has not ended, or None."""

@@ -106,7 +106,7 @@ class Connector:
         """Connect ports of a nodelet, and show it in the graph at once."""
         for topic in config.values():
             self._guards.check_topic(topic)
-        record = self._graph.get(name)
+        record = self._graph.records[name]
         if record.is_fixed:
             raise FixedTopics(name, record.manager)
         try:
@@ -242,7 +242,7 @@ class Transaction:
 
         Consumers whose demand would not be met are disconnected first.
         """
-        record = self._graph.get(name)
+        record = self._graph.records[name]
         before = {port: record.topics.get(port, "") for port in config}
         if before == dict(config) and name not in self._connector.unknown:
             return
@@ -267,7 +267,7 @@ class Transaction:
         They stay disconnected if they do not fit together by then.
         """
         self.connect(name, dict.fromkeys(ports, ""))
-        self._connect_if_fitting(self._graph.get(name), ports)
+        self._connect_if_fitting(self._graph.records[name], ports)
 
     def undo(self) -> None:
         """Undo everything, the latest change first; nodelets that claims use by now stay.
@@ -300,18 +300,18 @@ class Transaction:
             if not more:
                 return dict(sorted(cut.items()))
             is_reachable = self._context.monitor.is_reachable
-            reached = [name for name in sorted(more) if is_reachable(self._graph.get(name))]
+            reached = [name for name in sorted(more) if is_reachable(self._graph.records[name])]
             if not reached and not silent.issuperset(more):
                 silent.update(more)
                 continue
             if not reached:
                 if is_forgetful or world.forgetful.in_the_way(record, config, silent):
-                    first = self._graph.get(min(more))
+                    first = self._graph.records[min(more)]
                     why = "has fixed topics" if first.is_fixed else "does not answer"
                     raise HostError(f"{first.name} has to be disconnected first, and {why}")
                 is_forgetful = True  # they are reconfigured as soon as they answer
             for name in reached:
-                topics = self._graph.get(name).topics
+                topics = self._graph.records[name].topics
                 try:
                     self.connect(name, more[name])
                 except DyKnowError as error:

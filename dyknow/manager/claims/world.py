@@ -30,7 +30,7 @@ from math import inf
 from types import MappingProxyType
 from typing import AbstractSet, Collection, Dict, Iterable, Iterator, Mapping, Sequence, Tuple
 
-from dyknow.errors import UnknownNodelet, WrongStream
+from dyknow.errors import WrongStream
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.ends import (
     NOWHERE,
@@ -47,7 +47,7 @@ from dyknow.manager.claims.ends import (
     ways_to_bind,
 )
 from dyknow.manager.planning.problem import Demand, Live, TaggedStream, meets, ways_to_meet
-from dyknow.manager.record import NOTHING_HEARD, Heard, Record, ports_on
+from dyknow.manager.record import NOTHING_HEARD, Heard, Record, Records, ports_on
 from dyknow.manager.specifications.tags import Subsumption, Term, read_tags
 from dyknow.model.graph import State
 from dyknow.model.transformation import OUT, Transformation
@@ -79,12 +79,12 @@ class World:
         ontology: Subsumption,
         described: Mapping[str, tuple[Transformation, ...]],
         late: Late = NOWHERE,
-        records: Mapping[str, Record] = MappingProxyType({}),
+        records: Records | None = None,
         claims: tuple[Claim, ...] = (),
         ends: Mapping[str, Ends] = MappingProxyType({}),
     ) -> None:
         """``ends`` are those of nodelets and clients; ports may be on ``late`` topics, too."""
-        self.records = records  # the nodelets by name
+        self.records = Records() if records is None else records  # the nodelets by name
         self.claims = claims  # those that have not ended
         self.described = described  # transformations of type topic, by topic
         self._ontology = ontology
@@ -95,9 +95,7 @@ class World:
 
     # Other worlds, which differ a little from this one
 
-    def read(
-        self, records: Mapping[str, Record], claims: tuple[Claim, ...], acting: AbstractSet[str]
-    ) -> World:
+    def read(self, records: Records, claims: tuple[Claim, ...], acting: AbstractSet[str]) -> World:
         """Return the world with other records and claims; only changes are read again.
 
         Nodelets that are not ``acting`` neither send nor receive.
@@ -116,7 +114,7 @@ class World:
         """Return the world in which nodelets are as these records say."""
         changed = {record.name: record for record in new}
         ends = {name: ends_of(record, self._late) for name, record in changed.items()}
-        return self._derived({**self.records, **changed}, ends)
+        return self._derived(Records({**self.records, **changed}), ends)
 
     def _with(self, record: Record, is_replaced: bool = False) -> World:
         """Return the world if a nodelet were as a record says, besides its present or instead."""
@@ -129,7 +127,7 @@ class World:
         key = f"{record.name} then"
         return self._derived(self.records, {key: ends_of(record, self._late, key)})
 
-    def _derived(self, records: Mapping[str, Record], ends: Mapping[str, Ends]) -> World:
+    def _derived(self, records: Records, ends: Mapping[str, Ends]) -> World:
         ends = {**self._ends, **ends}
         return World(self._ontology, self.described, self._late, records, self.claims, ends)
 
@@ -164,13 +162,6 @@ class World:
 
     # Nodelets
 
-    def get(self, name: str) -> Record:
-        """Return the record of a nodelet; raises UnknownNodelet."""
-        found = self.records.get(name)
-        if found is None:
-            raise UnknownNodelet(name, self.records)
-        return found
-
     @cached_property
     def needed(self) -> frozenset[str]:
         """Nodelets that claims are made of."""
@@ -193,8 +184,8 @@ class World:
     @cached_property
     def described_nodes(self) -> frozenset[str]:
         """Labels of the external nodes that run and that the library describes."""
-        running = [each for each in self.records.values() if each.state is State.RUNNING]
-        return frozenset([each.label for each in running if each.is_described])
+        records = self.records.values()
+        return frozenset([e.label for e in records if e.is_described and e.state is State.RUNNING])
 
     @cached_property
     def relays(self) -> frozenset[str]:

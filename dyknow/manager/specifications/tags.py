@@ -68,7 +68,7 @@ class Term(NamedTuple):
     @property
     def variables(self) -> tuple[str, ...]:
         """Its variables, in the order written."""
-        return tuple(dict.fromkeys(arg for arg in self.args if arg[:1] == "?"))
+        return tuple(dict.fromkeys([arg for arg in self.args if arg[:1] == "?"]))
 
     def substitute(self, bindings: Mapping[str, str]) -> Term:
         """Put names in the places of variables; unbound ones stay, with their types."""
@@ -122,7 +122,7 @@ def parse_tag(text: str) -> Term:
     functor, inner = found.groups()
     if inner is None:
         return Term(functor.strip())
-    args = tuple(arg.strip() for arg in inner.split(","))
+    args = tuple([arg.strip() for arg in inner.split(",")])
     if len(args) > MAX_ARGUMENTS:
         raise InvalidTag(text, f"expected at most {MAX_ARGUMENTS} arguments")
     for arg in args:
