@@ -96,7 +96,7 @@ class Importer:
         self._found_on: tuple[str, ...] = ()
         self._import_lock = module_lock()  # held while modules are executed, as Python's own
         own = {**vars(builtins), **(functions or {})}
-        self._seeing = {**own, "__import__": self._import}
+        self._seeing = {**own, "__import__": self._import_seeing}
         self._unseeing = {**own, "__import__": self._import_blindly}
 
     def prepare(self, name: str, file: str) -> Module:
@@ -186,6 +186,26 @@ class Importer:
                         if error.name != f"{name}.{item}":
                             raise
         return module
+
+    def _import_seeing(
+        self,
+        name: str,
+        globals: Mapping[str, Any] | None = None,
+        locals: Mapping[str, Any] | None = None,
+        fromlist: Sequence[str] | None = (),
+        level: int = 0,
+    ) -> Module:
+        """Import; ``*`` of a module of the process brings views along, not what they hide."""
+        module = self._import(name, globals, locals, fromlist, level)
+        if "*" not in (fromlist or ()):
+            return module
+        brought = {each: vars(module).get(each) for each in View(module, {}).__all__}
+        views = {
+            each: self._load(other.__name__)
+            for each, other in brought.items()
+            if isinstance(other, Module) and other.__name__ in self._views
+        }
+        return View(module, views) if views else module
 
     def _import_blindly(
         self,

@@ -160,6 +160,15 @@ class TestWhatConcernsTheProcess:
         assert scripts.witness.found == (5, ["program", "word"])
         scripts.is_gone()
 
+    def test_messages_bring_no_command_line_of_the_process_along(self, scripts):
+        """Modules of message types have no ``__all__``, and import ``sys``."""
+        scripts.load(
+            "import sys\n"
+            "from std_msgs.msg import *\n"
+            "script_witness.found = String()._type, *sys.argv"
+        )
+        assert scripts.witness.found == ("std_msgs/String", str(scripts.folder / "script.py"))
+
 
 def test_modules_of_its_package_are_those_on_disk(scripts, tmp_path, monkeypatch):
     package = tmp_path / "src" / "own_package"
