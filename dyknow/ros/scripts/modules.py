@@ -45,7 +45,7 @@ def script_importer(
             **process_view.process_views(sandbox),
             **process_view.script_views(sandbox, lambda: importer),
         },
-        functions=process_view.functions(sandbox),
+        functions=process_view.functions(sandbox, lambda: importer),
         is_alone=sandbox.is_alone,
     )
     return importer

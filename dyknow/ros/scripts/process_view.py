@@ -72,11 +72,18 @@ def script_views(sandbox: Sandbox, importer: Callable[[], Importer]) -> Views:
     return views
 
 
-def functions(sandbox: Sandbox) -> dict[str, Any]:
+def functions(sandbox: Sandbox, importer: Callable[[], Importer]) -> dict[str, Any]:
     """Return replacements of built-in functions."""
     if sandbox.is_alone:
         return {}
-    return {"input": _refusal(sandbox, "input()", _TERMINAL), "exit": sys.exit, "quit": sys.exit}
+
+    def print_own(*words: Any, file: Any = None, **options: Any) -> None:
+        """``print``, by default to the ``sys.stdout`` that the code may have set."""
+        own: Any = importer().modules.get("sys", sys)
+        print(*words, file=own.stdout if file is None else file, **options)
+
+    refused = _refusal(sandbox, "input()", _TERMINAL)
+    return {"input": refused, "exit": sys.exit, "quit": sys.exit, "print": print_own}
 
 
 class _Sys(View):

@@ -160,6 +160,18 @@ class TestWhatConcernsTheProcess:
         assert scripts.witness.found == (5, ["program", "word"])
         scripts.is_gone()
 
+    def test_what_it_prints_goes_to_the_output_that_it_has_set(self, scripts, capfd):
+        scripts.load(
+            "import io, sys\n"
+            "print('first')\n"
+            "sys.stdout = io.StringIO()\n"
+            "print('second', 'word', sep='-')\n"
+            "print('third', file=sys.stderr)\n"
+            "script_witness.found = sys.stdout.getvalue()"
+        )
+        assert scripts.witness.found == "second-word\n"
+        assert capfd.readouterr().out == "first\n"
+
     def test_messages_bring_no_command_line_of_the_process_along(self, scripts):
         """Modules of message types have no ``__all__``, and import ``sys``."""
         scripts.load(
