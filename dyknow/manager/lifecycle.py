@@ -41,10 +41,11 @@ from dyknow.manager.record import (
     NOTHING_HEARD,
     UNSURE,
     Record,
+    awaited_ports,
     declared_ports,
     missing_connections,
+    seen_ports,
     topics_of,
-    with_ports,
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.store import Store
@@ -173,7 +174,8 @@ class Lifecycle:
                 record = self._judged(record)
             place = self._place(record, near)
             detail = f"it is being started{'' if kind.is_node else f' in {place}'}"
-            record = self._with_code(replace(record, manager=place, detail=detail))
+            code = self._code(record, place)
+            record = replace(record, manager=place, detail=detail, code=code)
             try:
                 self._graph.put(record)
                 running = self._bring_up(record)
@@ -206,7 +208,8 @@ class Lifecycle:
         self._graph.put(starting)
         try:
             # Its place is on disk before it is there: the manager's next life finds it.
-            starting = self._with_code(replace(starting, manager=self._place(starting)))
+            place = self._place(starting)
+            starting = replace(starting, manager=place, code=self._code(starting, place))
             self._graph.put(starting)
             starting = replace(starting, topics=self.fitting(starting))
             running = self._bring_up(starting)
@@ -363,25 +366,24 @@ class Lifecycle:
                 f"'{asked}' hosts no {kind.title}s: it is there for a {state.kind.title}"
             )
 
-    def _with_code(self, record: Record) -> Record:
-        """Note the code that a load would run; a library in C++ stays loaded with its process."""
+    def _code(self, record: Record, place: str) -> str:
+        """Return the code that a load would run; a library in C++ stays with its process."""
         assert record.transformation is not None
         source, code = record.transformation.source, ""
         if record.kind is NodeletKind.CPP:
-            state = self._host.states().get(record.manager)
+            state = self._host.states().get(place)
             loaded = [
                 each.code
                 for each in self._graph.all()
                 if each.transformation is not None
-                and (each.transformation.source, each.manager) == (source, record.manager)
+                and (each.transformation.source, each.manager) == (source, place)
                 and state is not None
                 and each.incarnation == state.incarnation
             ]
             incarnation = state.incarnation if state is not None else ""
             known = self._libraries.get((incarnation, source), "")
             code = next(filter(None, loaded), known)
-        code = code or self._host.code_of(record.manager, record.transformation, anew=True)
-        return replace(record, code=code)
+        return code or self._host.code_of(place, record.transformation, anew=True)
 
     # Loading
 
@@ -402,32 +404,37 @@ class Lifecycle:
                 raise FixedTopics(record.name, record.manager)  # a claim may move all its ports
         deadline = self._clock.now() + self._timeout
         self._host.load(record.manager, request, self._timeout)
-        state = self._host.states().get(record.manager)
-        record = replace(
+        states = self._host.states()
+        state = states.get(record.manager, ProcessState(record.manager))
+        if record.kind is NodeletKind.CPP:  # also after the end of the nodelet
+            alive = {each.incarnation for each in states.values()}
+            kept = {key: code for key, code in self._libraries.items() if key[0] in alive}
+            self._libraries = {(state.incarnation, transformation.source): record.code, **kept}
+        awaited: tuple[str, ...] = ()
+        if not state.rewirable:
+            ports = declared_ports(record)
+        else:
+            if transformation.type == NODE:
+                found = self._settled_ports(record.name, transformation, deadline)
+            else:
+                found = self._host.ports(record.name)
+            _check_ports(record, transformation, found)
+            wiring = missing_connections(record, found)
+            if wiring:
+                self._host.connect(record.name, wiring)
+                found = tuple(replace(e, topic=wiring.get(e.name, e.topic)) for e in found)
+            ports, awaited = seen_ports(record, found), awaited_ports(record, found)
+        return replace(
             record,
             state=State.RUNNING,
             detail=record.suspicion,
-            incarnation=state.incarnation if state is not None else "",
-            host=state.host if state is not None else "",
-            is_fixed=state is not None and not state.rewirable,
+            incarnation=state.incarnation,
+            host=state.host,
+            is_fixed=not state.rewirable,
             heard=NOTHING_HEARD,
+            ports=ports,
+            awaited=awaited,
         )
-        if record.kind is NodeletKind.CPP:  # also after the end of the nodelet
-            alive = {each.incarnation for each in self._host.states().values()}
-            kept = {key: code for key, code in self._libraries.items() if key[0] in alive}
-            self._libraries = {(record.incarnation, transformation.source): record.code, **kept}
-        if record.is_fixed:
-            return replace(record, ports=declared_ports(record))
-        if transformation.type == NODE:
-            ports = self._settled_ports(record.name, transformation, deadline)
-        else:
-            ports = self._host.ports(record.name)
-        _check_ports(record, transformation, ports)
-        wiring = missing_connections(record, ports)
-        if wiring:
-            self._host.connect(record.name, wiring)
-            ports = tuple(replace(port, topic=wiring.get(port.name, port.topic)) for port in ports)
-        return with_ports(record, ports)
 
     def _settled_ports(
         self, name: str, transformation: Transformation, deadline: float

@@ -136,9 +136,7 @@ class Record:
 
     def body(self) -> str:
         """Return its stored form, as JSON."""
-        body = {each.name: getattr(self, each.name) for each in fields(self)}
-        for name in ("name", "ports", "awaited", "outdated", "owner"):
-            del body[name]  # the key, and observations of each life
+        body = {name: getattr(self, name) for name in _STORED}
         for name in ("heard", "code", "pinned", "superseded"):
             if body[name] == getattr(Record, name):  # the default
                 del body[name]  # earlier versions do not read it
@@ -164,6 +162,11 @@ class Record:
         if record.transformation is not None:
             set_on_load(record.transformation, record.parameters)
         return record
+
+
+#: The fields that are stored, besides the key; the others are observations of each life.
+_OBSERVED = ("name", "ports", "awaited", "outdated", "owner")
+_STORED = tuple(each.name for each in fields(Record) if each.name not in _OBSERVED)
 
 
 class Records(Dict[str, Record]):
@@ -201,20 +204,20 @@ def declared_ports(record: Record) -> Tuple[PortState, ...]:
     )
 
 
-def with_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
-    """Return a record with the ports that a proxy reports.
+def awaited_ports(record: Record, ports: Iterable[PortState]) -> Tuple[str, ...]:
+    """Return the declared ports that a nodelet has not made, by the ports that a proxy reports.
 
     For a port that was connected before the nodelet made it, the proxy reports the topic alone. A
     nodelet that was written for DyKnow makes its ports when it is loaded.
     """
     made = {port.name for port in ports if port.datatype or record.kind.is_written_for_dyknow}
-    awaited = [port.name for port in record.declared if port.name not in made]
-    return replace(record, ports=seen_ports(record, ports), awaited=tuple(awaited))
+    return tuple([port.name for port in record.declared if port.name not in made])
 
 
 def with_present_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     """Return a record with the ports of a proxy, whose topics are desired from now on."""
-    record = with_ports(record, ports)
+    seen, awaited = seen_ports(record, ports), awaited_ports(record, ports)
+    record = replace(record, ports=seen, awaited=awaited)
     return replace(record, topics=topics_of(record))
 
 

@@ -214,8 +214,11 @@ def sent_on(topic: str, described: Iterable[Transformation]) -> Producer:
     return Producer("", "", tags, datatype)
 
 
-def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
-    """Read the ends of a nodelet, by default under its name."""
+def ends_of(record: Record, late: Late = NOWHERE, key: str = "", is_planned: bool = False) -> Ends:
+    """Read the ends of a nodelet, by default under its name.
+
+    With ``is_planned`` its ports are where they should be, not where they were seen.
+    """
     name, key = record.name, key or record.name
     producers: list[tuple[Producer, Where]] = []
     consumers: list[tuple[Consumer, Where]] = []
@@ -230,7 +233,10 @@ def ends_of(record: Record, late: Late = NOWHERE, key: str = "") -> Ends:
         is_typed = found is not None and found.datatype not in ANY
         datatype = found.datatype if found is not None and is_typed else port.datatype
         tags = read_tags(port.tags)
-        topics = {record.topics.get(port.name, ""), found.topic if found else ""} - {""}
+        topics = {record.topics.get(port.name, "")}
+        if found is not None and not (is_planned and port.name in record.topics):
+            topics.add(found.topic)
+        topics.discard("")
         where = tuple(sorted(topics.union(late.get((name, port.name), ())) - {""}))
         is_open = "?" in "".join(port.tags)
         if port.direction == OUT:

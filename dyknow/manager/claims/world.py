@@ -118,14 +118,9 @@ class World:
 
     def _with(self, record: Record, is_replaced: bool = False) -> World:
         """Return the world if a nodelet were as a record says, besides its present or instead."""
-        ports = [
-            replace(port, topic=record.topics.get(port.name, port.topic)) for port in record.ports
-        ]
-        record = replace(record, ports=tuple(ports))
-        if is_replaced:
-            return self.with_records([record])
-        key = f"{record.name} then"
-        return self._derived(self.records, {key: ends_of(record, self._late, key)})
+        key = record.name if is_replaced else f"{record.name} then"
+        ends = ends_of(record, self._late, key, is_planned=True)
+        return self._derived(self.records, {key: ends})
 
     def _derived(self, records: Records, ends: Mapping[str, Ends]) -> World:
         ends = {**self._ends, **ends}

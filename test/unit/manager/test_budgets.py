@@ -90,10 +90,10 @@ def test_an_acquire_takes_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
         client.acquire_stream(StreamRequest("Step4(x)"))
     finally:
         sys.setprofile(None)
-    assert sum(calls.values()) <= 1_750
-    assert len(functions) <= 430
-    assert len(calls) <= 34
-    assert 0 < len(locks) <= 72
+    assert sum(calls.values()) <= 1_350
+    assert len(functions) <= 375
+    assert len(calls) <= 30
+    assert 0 < len(locks) <= 70
 
 
 def test_a_round_without_news_reads_no_world_and_calls_nobody(
