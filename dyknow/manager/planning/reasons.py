@@ -82,8 +82,11 @@ def _leaves(search: Search) -> Iterator[_Open]:
             bounds = search.passed(each.pattern, each.known, offer)
             if bounds is not None:
                 unmet = _unmet(search, action, bounds)
-                # Else only its free nodelets are in the way, which have to keep other names.
-                is_leaf = is_leaf and action.base in request.scarce and not unmet
+                # Else it supplies other names, or its free nodelets have to keep other ones.
+                is_other = (
+                    offer.places is None and _lacking(request.names, each, offer.head) is None
+                )
+                is_leaf = is_leaf and (is_other or action.base in request.scarce) and not unmet
                 for below in unmet:
                     if below[:2] not in seen:
                         seen.add(below[:2])
@@ -187,11 +190,7 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
     found = []
     pattern = demand.pattern
     for head in request.alike(pattern):
-        ways = [
-            _lacking(request.names, head.action, demand, list(zip(supplied, pattern.atoms)))
-            for supplied in itertools.product(head.atoms, repeat=len(pattern.atoms))
-        ]
-        lacking = min([each for each in ways if each is not None], key=len, default=None)
+        lacking = _lacking(request.names, demand, head)
         if lacking is None:
             continue
         label = head.label
@@ -209,13 +208,24 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
     return found
 
 
-def _lacking(
-    names: Names, action: Operator, demand: _Open, pairs: Sequence[tuple[Atom, Atom]]
-) -> dict[str, Types] | None:
-    """Match atoms of an action without regard to types of the demand's variables.
+def _lacking(names: Names, demand: _Open, head: Head) -> dict[str, Types] | None:
+    """Match an out-port without regard to types of the demand's variables.
 
     Returns the names that lack some of these types; None if other names are demanded.
     """
+    atoms = demand.pattern.atoms
+    ways = [
+        _lacking_so(names, head.action, demand, list(zip(supplied, atoms)))
+        for supplied in itertools.product(head.atoms, repeat=len(atoms))
+    ]
+    found = [each for each in ways if each is not None]
+    return min(found, key=len) if found else None
+
+
+def _lacking_so(
+    names: Names, action: Operator, demand: _Open, pairs: Sequence[tuple[Atom, Atom]]
+) -> dict[str, Types] | None:
+    """Match pairs of atoms, as `_lacking` does."""
     for supplied, demanded in pairs:
         if len(supplied) != len(demanded):
             return None

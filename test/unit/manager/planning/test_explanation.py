@@ -230,6 +230,14 @@ def test_an_individual_of_another_type_is_named_with_its_own() -> None:
     assert refused("Ball(ear)", camera, detector) == "nothing supplies Image(ear)"
 
 
+def test_another_name_in_one_of_several_tags_is_named() -> None:
+    camera = make("camera", [], ["Image(nose)"])
+    detector = make("detector", ["Image(?c)"], ["Object(?c)&About(ball)"])
+    tracker = make("tracker", ["Object(?by)&About(?it)"], ["Position(?it)"])
+    missing = "nothing supplies About(bell) & Object(?by)"
+    assert refused("Position(bell)", camera, detector, tracker) == missing
+
+
 def test_what_must_not_be_used_is_named() -> None:
     camera = make("camera", [], ["Image(nose)"])
     excluded = refused("Image(nose)", camera, exclude=frozenset(("camera",)))
