@@ -11,14 +11,17 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any, Mapping, Sequence
+import re
+import time
+from functools import partial
+from typing import Any, Callable, Mapping, Sequence, TypeVar
 
 import rosgraph.names
 from dyknow_msgs import msg, srv
 from genpy import Duration
 
 from dyknow import names
-from dyknow.errors import Refused
+from dyknow.errors import PeerTimeout, Refused
 from dyknow.locks import state_lock
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
@@ -26,6 +29,7 @@ from dyknow.model.hosts import HostStatus
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added, Parameter
+from dyknow.ros.process.os_process import has_begun
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import (
     acquire_message,
@@ -39,7 +43,9 @@ from dyknow.ros.wire.messages import (
     statistics_from,
     stream_from,
 )
-from dyknow.ros.wire.service_client import ServiceClient
+from dyknow.ros.wire.service_client import ServiceClient, ServiceLost
+
+T = TypeVar("T")
 
 #: Seconds for calls that only ask.
 ASK_TIMEOUT = 5.0
@@ -47,6 +53,12 @@ ASK_TIMEOUT = 5.0
 CHANGE_TIMEOUT = 60.0
 #: Seconds for the restart of a nodelet manager with all its nodelets.
 RESTART_TIMEOUT = 300.0
+
+#: Seconds to wait for the services of a manager that starts, between two looks, for its answer
+#: that it is there, and from its start to its registration at most.
+_STARTING, _AGAIN, _LOOK, _BEGINNING = 10.0, 0.1, 1.0, 60.0
+#: Command lines of a manager that is being started, by rosrun and roslaunch too.
+_MANAGER = re.compile(rb"(^|[\0/])dyknow[\0/]manager(\.launch)?(\0|$)")
 
 #: Services whose answers say more than that it is done; their callers are given it.
 _SPOKEN_OF = ("add_transformation", "replan_stream", "plan_stream", "set_parameter")
@@ -216,18 +228,46 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         **fields: Any,
     ) -> Any:
         """Call a service, over a new connection, or over one that is kept for later calls."""
-        if not kept:
-            return super()._call(service, kind, timeout, *request, **fields)
-        with self._kept_lock:
-            if service not in self._kept:
-                self._kept[service] = ServiceClient(self._master, service, kind, persistent=True)
-            client = self._kept[service]
-        return client.call(timeout, *request, **fields)
+        call = partial(super()._call, service, kind, timeout, *request, **fields)
+        if kept:
+            with self._kept_lock:
+                if service not in self._kept:
+                    client = ServiceClient(self._master, service, kind, persistent=True)
+                    self._kept[service] = client
+                call = partial(self._kept[service].call, timeout, *request, **fields)
+        return self._once_up(call, timeout) if names.parent(service) == self.manager else call()
+
+    def _once_up(self, ask: Callable[[], T], seconds: float) -> T:
+        """Query the manager, and repeat the query while it is starting and offers no answer."""
+        deadline = time.monotonic() + min(seconds, _STARTING)
+        while True:
+            try:
+                return ask()
+            except (ServiceLost, PeerTimeout, LookupError, ConnectionRefusedError) as error:
+                is_late = not is_unoffered(error) or time.monotonic() > deadline
+                if is_late or not (self._is_there() or self._is_beginning()):
+                    raise
+            time.sleep(_AGAIN)
+
+    def _is_there(self) -> bool:
+        """Whether a node of the manager's name answers."""
+        return self._master.pid_of(self.manager, _LOOK) > 0
+
+    def _is_beginning(self) -> bool:
+        """Whether a manager was started on this host that has not registered yet."""
+        if not has_begun(_MANAGER, rosgraph.ROS_MASTER_URI, _BEGINNING):
+            return False
+        return {*self._nodes_with("/add_transformation")} <= {self.manager}  # else it is another
 
     def _nodes_with(self, service: str) -> list[str]:
         """Return the nodes that offer a service of such a name, sorted."""
         _, _, services = self._master.ask("getSystemState")
         return sorted(name[: -len(service)] for name, _ in services if name.endswith(service))
+
+
+def is_unoffered(error: BaseException) -> bool:
+    """Whether a query reached no process, since its service or topic is missing."""
+    return isinstance(error.__cause__ or error, (LookupError, ConnectionRefusedError))
 
 
 def _accepted(answer: Any) -> Any:

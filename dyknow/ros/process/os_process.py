@@ -14,6 +14,7 @@ import fcntl
 import functools
 import math
 import os
+import re
 import select
 import signal
 import subprocess
@@ -192,6 +193,24 @@ def started_with(variable: str) -> list[tuple[ProcessId, str, list[str]]]:
         values = (each[len(key) :] for each in variables if each.startswith(key))
         found += [(process, os.fsdecode(each), list(map(os.fsdecode, command))) for each in values]
     return sorted(found, key=lambda each: each[0].started)
+
+
+def has_begun(command: re.Pattern[bytes], variable: str, seconds: float) -> bool:
+    """Whether a process of such a command line has begun in the last seconds.
+
+    It is of this user, and has this process's value of a variable of the environment. Words of the
+    command line are separated by zero bytes.
+    """
+    earliest = time.clock_gettime(time.CLOCK_BOOTTIME) - seconds
+    ticks = os.sysconf("SC_CLK_TCK")
+    ours = os.fsencode(f"{variable}={os.environ.get(variable, '')}")
+    for process in filter(None, map(ProcessId.of, _pids())):
+        if process.started / ticks > earliest:
+            with contextlib.suppress(OSError):  # it has ended, or is another user's
+                variables, words = (_words(process.pid, file) for file in ("environ", "cmdline"))
+                if ours in variables and command.search(b"\0".join(words)):
+                    return True
+    return False
 
 
 # /proc itself, not psutil: that knows the start of a process only as a time of day, which moves

@@ -45,8 +45,6 @@ _UNSET = object()
 _LOOK, _WORKERS = 1.0, 16
 #: Seconds without an answer after which the user is told.
 _SILENCE = 3.0
-#: Seconds that a manager may take from its registration to its services, and between two looks.
-_STARTING, _AGAIN = 10.0, 0.1
 #: The service of a black box, and seconds that a bag may take.
 _WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
@@ -197,7 +195,7 @@ class ShellClient(ManagerClient):
         notice.daemon = True
         notice.start()
         try:
-            return self._once_up(call, seconds) if owner == self.manager else call()
+            return call()
         except ServiceFailed as error:
             raise Refused(f"'{owner}': {error}") from error
         except (ServiceLost, PeerTimeout) as error:
@@ -221,21 +219,6 @@ class ShellClient(ManagerClient):
             return self._once_up(connect, seconds)
         except (LookupError, PeerTimeout, OSError) as error:
             raise self._no_manager(error, seconds) from error
-
-    def _once_up(self, ask: Callable[[], T], seconds: float) -> T:
-        """Query the manager, and repeat the query while it is starting and offers no answer."""
-        deadline = time.monotonic() + min(seconds, _STARTING)
-        while True:
-            try:
-                return ask()
-            except (ServiceLost, LookupError, ConnectionRefusedError) as error:
-                if not _is_unoffered(error) or time.monotonic() > deadline or not self._is_there():
-                    raise
-            time.sleep(_AGAIN)
-
-    def _is_there(self) -> bool:
-        """Whether a node of the manager's name answers."""
-        return self._master.pid_of(self.manager, _LOOK) > 0
 
     def _nodes_with(self, service: str) -> list[str]:
         return self._on_master(lambda: super(ShellClient, self)._nodes_with(service))
@@ -265,16 +248,15 @@ class ShellClient(ManagerClient):
         """Say why the manager does not answer, and what to do: it is not there, dead, or hangs."""
         cause = error.__cause__ or error
         is_timeout = isinstance(cause, (PeerTimeout, socket.timeout))
-        if _is_unoffered(error) and self._is_there():
+        if client.is_unoffered(error) and self._is_there():
             why = (
                 "runs, but does not offer its services: it is being started or ended, or the node "
                 "is not a DyKnow manager"
             )
+        elif client.is_unoffered(error) and self._is_beginning():
+            why = "does not answer yet, but a manager is being started: ask again"
         elif isinstance(cause, LookupError) or (not is_timeout and not self._is_registered()):
-            why = (
-                "is not running: start one with 'rosrun dyknow manager', or name another with "
-                "--manager-node or $DYKNOW_MANAGER"
-            )
+            why = self._how_to_start()
         elif is_timeout:
             why = (
                 f"runs, but did not answer within {seconds:g} s: it hangs, is busy, or its host "
@@ -288,6 +270,15 @@ class ShellClient(ManagerClient):
             )
         return ManagerUnreachable(f"DyKnow manager '{self.manager}' {why}")
 
+    def _how_to_start(self) -> str:
+        others = [each for each in self.managers() if each != self.manager]
+        if others:
+            running = f"{' and '.join(others)} {'is' if len(others) == 1 else 'are'}"
+            return f"is not running, but {running}: see --manager-node and $DYKNOW_MANAGER"
+        space, _, name = self.manager.rpartition("/")
+        words = f" __name:={name}" * (name != "dyknow_manager") + f" __ns:={space}" * bool(space)
+        return f"is not running: start one with 'rosrun dyknow manager{words}'"
+
     def _is_registered(self) -> bool:
         """Whether the manager has not withdrawn itself, as it does at every end but by kill -9.
 
@@ -297,11 +288,6 @@ class ShellClient(ManagerClient):
             return self.manager in self.managers()
         except ManagerUnreachable:
             return True
-
-
-def _is_unoffered(error: BaseException) -> bool:
-    """Whether a query reached no process, since its service or topic is missing."""
-    return isinstance(error.__cause__ or error, (LookupError, ConnectionRefusedError))
 
 
 def _words(error: BaseException) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -132,6 +133,20 @@ def test_the_end_of_another_process_is_noticed(has_pidfd, monkeypatch):
         assert not found.wait(0.05)
         threading.Timer(0.1, child.kill).start()
         assert found.wait(PATIENCE)
+
+
+def test_a_process_that_has_begun_lately_is_found_by_its_words(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINE", "one")
+    found = start(tmp_path, (*SLEEP, "/lib/dyknow/manager"))
+    wanted, other = re.compile(rb"/dyknow/manager(\0|$)"), re.compile(rb"dyknow/manage(\0|$)")
+    try:
+        assert os_process.has_begun(wanted, "MINE", 1000.0)
+        assert not os_process.has_begun(other, "MINE", 1000.0)
+        assert not os_process.has_begun(wanted, "MINE", 0.0)
+        monkeypatch.setenv("MINE", "another")
+        assert not os_process.has_begun(wanted, "MINE", 1000.0)
+    finally:
+        found.end(1.0)
 
 
 @pytest.mark.parametrize("command", [SLEEP, STUBBORN])
