@@ -20,7 +20,6 @@ import os
 import sys
 from typing import Any, Callable, Collection, Iterator, Mapping, NamedTuple, Sequence
 
-import rosgraph.names
 import rospy
 from dyknow_msgs.msg import NodeletChanges
 
@@ -58,7 +57,7 @@ from dyknow.ros.manager.services import CountsTopic, EventTopic, ManagerServices
 from dyknow.ros.manager.tenure import KEY, VARIABLE, Tenure
 from dyknow.ros.nodelets.owner import OwnerLock
 from dyknow.ros.nodelets.process_guards import to_environment
-from dyknow.ros.process.node_process import NodeProcess, is_given
+from dyknow.ros.process.node_process import NodeProcess, is_given, name_of
 from dyknow.ros.process.signals import FAILED
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.master import Master
@@ -381,23 +380,21 @@ class ManagerNode(Closable):
         return producers, managers
 
 
-def _name_of(argv: Sequence[str]) -> str:
-    name = rosgraph.names.load_mappings(argv).get("__name", _NAME)
-    return names.join(rosgraph.names.get_ros_namespace(argv=argv), str(name))
-
-
 def _is_running(name: str) -> bool:
     """Whether a manager of that name runs already, and answers."""
     # rospy waits for a master that does not answer; a node that does not is dead or ends.
     pid = Master(name).pid_of(name, _ANSWER_TIMEOUT)
     if pid:
-        print(f"{name} runs already (process {pid}); end it first: rosnode kill {name}")
+        print(
+            f"manager: {name} runs already (process {pid}); end it first: rosnode kill {name}",
+            file=sys.stderr,
+        )
     return bool(pid)
 
 
 def run(argv: Sequence[str], wirings: WiringCalls) -> int:
     """Run the node until it has to end; returns the exit code."""
-    name = _name_of(argv)
+    name = name_of(argv, _NAME)
     tenure = Tenure(name, kept=os.environ.pop(VARIABLE, ""))
     if not tenure.is_resumed and _is_running(name):
         return FAILED

@@ -21,6 +21,7 @@ import sys
 import threading
 from typing import Any, Callable, Mapping, Sequence
 
+import rosgraph.names
 import rospy
 from rosgraph.roslogging import RosStreamHandler
 from rospy.impl.masterslave import ROSHandler
@@ -119,6 +120,7 @@ class NodeProcess:
             if self._on_displaced is not None:
                 _hear_of_displacement(self._on_displaced)
             descriptors.spare()
+            names.check(name_of(self._argv, self._node), "name of a node")
             rospy.init_node(self._node, argv=self._argv, disable_signals=True)
             log_without_the_master()
             _print_logs_at_least()
@@ -160,6 +162,12 @@ class NodeProcess:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
         self.end()
         self._closed.wait(_CLOSE_PATIENCE)
+
+
+def name_of(argv: Sequence[str], default: str) -> str:
+    """Return the name of the node of a command line."""
+    name = rosgraph.names.load_mappings(argv).get("__name", default)
+    return names.join(rosgraph.names.get_ros_namespace(argv=argv), str(name))
 
 
 def is_given(argv: Sequence[str], parameter: str) -> bool:

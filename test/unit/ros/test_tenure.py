@@ -13,8 +13,8 @@ from clocks import HandClock
 
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import ControlLoop
-from dyknow.ros.manager.manager_node import _name_of
 from dyknow.ros.manager.tenure import PATIENCE, VARIABLE, Tenure, TenureVerdict
+from dyknow.ros.process.node_process import name_of
 
 NAME = "/dyknow_manager"
 
@@ -163,6 +163,6 @@ def test_the_loop_looks_until_the_name_is_decided(pair: Tuple[Side, Side]) -> No
 
 @pytest.mark.parametrize("given", ["robot1", "/robot1", "/robot1/"])
 def test_the_name_is_global_however_its_namespace_is_given(given, monkeypatch):
-    assert _name_of(["manager", f"__ns:={given}"]) == "/robot1/dyknow_manager"
+    assert name_of(["manager", f"__ns:={given}"], "dyknow_manager") == "/robot1/dyknow_manager"
     monkeypatch.setenv("ROS_NAMESPACE", given)
-    assert _name_of(["manager", "__name:=m"]) == "/robot1/m"
+    assert name_of(["manager", "__name:=m"], "dyknow_manager") == "/robot1/m"
