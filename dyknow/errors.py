@@ -58,8 +58,8 @@ class InvalidName(DyKnowError):
         self.name = name
         self.what = what
         super().__init__(
-            f"'{name}' is not a valid {what}: expected letters, digits, '_' and '/', "
-            "starting with a letter, '/' or '~'"
+            f"'{name}' is not a valid {what}: expected letters, digits, '_' and single "
+            "'/', starting with a letter, '/' or '~'"
         )
 
 

@@ -199,7 +199,10 @@ def argument(names: str, metavar: Optional[str], help_text: str, **options: Any)
         options["metavar"] = metavar
 
     def add(parser: Any) -> None:
-        parser.add_argument(*names.split(), help=help_text, **options).completer = completer
+        action = parser.add_argument(*names.split(), help=help_text, **options)
+        action.completer = completer
+        if action.nargs == argparse.REMAINDER:  # there may be none
+            action.required = False
 
     return add
 

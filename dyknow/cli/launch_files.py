@@ -126,6 +126,7 @@ def _message(error: BaseException) -> str:
     if isinstance(error, OSError):
         return f"{error.strerror}: '{error.filename}'"
     text = re.sub(r"while processing [^\n]*:\n", "", str(error))
+    text = re.sub(r"(?s)\ALaunch string: .*\nException: ", "standard input: ", text)
     text = re.sub(r"Invalid roslaunch XML syntax: \[Errno \d+\] ", "", text)
     if "maximum recursion depth exceeded" in text:
         return "the launch files include each other without end"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 import os
 import shlex
 import sys
@@ -248,6 +249,8 @@ def read(
         for name in ("sigint_timeout", "sigterm_timeout")
         if getattr(options, name) is not None  # else roslaunch's own
     }
+    # Where the log is not set up, logging would print the traceback of a wrong standard input.
+    logging.getLogger("roslaunch").addHandler(logging.NullHandler())
     try:
         parent = ROSLaunchParent(
             run_id,

@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -28,6 +28,7 @@ from dyknow.cli.arguments import Argument
 from dyknow.errors import DyKnowError, ManagerUnreachable
 
 if TYPE_CHECKING:
+    from dyknow.model.graph import Model
     from dyknow.ros.shell.shell_client import ShellClient
 
 DONE = 0
@@ -90,6 +91,19 @@ class Shell:
     def resolve(self, name: str) -> str:
         """Make a name global: relative ones begin in the manager's namespace."""
         return name if name == "/" else names.resolve(name, self.client.namespace, "/")
+
+    def graph(self, namespace: str | None) -> Model:
+        """Return the model without its transformations; if given, of a namespace alone."""
+        model = self.client.get_graph()
+        if not namespace:
+            return model
+        space = self.resolve(namespace)
+        inside = space.rstrip("/") + "/"
+        nodelets = tuple(each for each in model.nodelets if each.name.startswith(inside))
+        if not nodelets and space != "/":
+            hint = f"; it is a nodelet: see 'dyknow info {space}'" * bool(model.nodelet(space))
+            self.warn(f"no nodelet is in the namespace '{space}'{hint}")
+        return replace(model, nodelets=nodelets)
 
     def show(self, value: Any, lines: Iterable[str], indent: int | None = 2) -> None:
         """Print a result: the value as JSON, in one line without an indent, or else the lines."""

@@ -9,7 +9,6 @@ Everything is written in sorted order: equal graphs have equal drawings.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from typing import Iterator, Sequence
 
 from dyknow import names
@@ -40,11 +39,7 @@ _TIMEOUT = 120.0  # seconds that graphviz may take
     ),
 )
 def _graph(arguments: argparse.Namespace, shell: Shell) -> None:
-    snapshot = shell.client.get_graph()
-    if arguments.namespace:
-        inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
-        nodelets = tuple(each for each in snapshot.nodelets if each.name.startswith(inside))
-        snapshot = replace(snapshot, nodelets=nodelets)
+    snapshot = shell.graph(arguments.namespace)
     drawing = arguments.svg or arguments.png
     if drawing:
         kind = "svg" if arguments.svg else "png"

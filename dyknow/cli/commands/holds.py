@@ -199,11 +199,11 @@ def _live(
 
 
 def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:
-    """Return the ROS type of a topic; waits until ``latest`` for a first node with it."""
+    """Return the ROS type of a topic; waits until ``latest`` for a publisher of it."""
     is_late = False
     while True:
         found = shell.client.datatypes().get(topic, "*")
-        if found != "*":
+        if found != "*" and topic in shell.client.topics_in_use()[0]:
             return found
         if latest is not None and time.monotonic() >= latest:
             raise DyKnowError(f"the topic {topic} of the port '{port}' is not published")

@@ -54,10 +54,7 @@ def _list(arguments: argparse.Namespace, shell: Shell) -> None:
         hosts = shell.client.list_hosts()
         shell.show({"hosts": [host_json(each) for each in hosts]}, host_table(hosts, time.time()))
         return
-    nodelets = shell.client.get_graph().nodelets
-    if arguments.namespace:
-        inside = shell.resolve(arguments.namespace).rstrip("/") + "/"
-        nodelets = tuple(each for each in nodelets if each.name.startswith(inside))
+    nodelets = shell.graph(arguments.namespace).nodelets
     value: Json = {"nodelets": [nodelet_json(each) for each in nodelets]}
     if not arguments.long:
         shell.show(value, [each.name for each in nodelets])

@@ -98,7 +98,9 @@ def _launch(arguments: argparse.Namespace, shell: Shell) -> None:
         return parent, plan
 
     if arguments.dry_run:
-        plan = prepare()[1]
+        parent, plan = prepare()
+        for problem in parent.config.config_errors:
+            shell.warn(problem)
         named = "node program machine how why launch_prefix=prefix"
         nodes = [{**picked(each, named), "how": each.how.name.lower()} for each in plan]
         shell.show({"nodes": nodes}, _table(plan))

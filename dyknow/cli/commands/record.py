@@ -15,7 +15,7 @@ from dyknow.cli.arguments import argument
 from dyknow.cli.commands.nodelets import show_spawned
 from dyknow.cli.output import columns
 from dyknow.cli.shell import Acted, Shell, command
-from dyknow.errors import DyKnowError
+from dyknow.errors import DyKnowError, NodeletUnreachable
 from dyknow.model.transformation import Parameter
 
 #: What a black box is made from, unless the library has another transformation of that label.
@@ -56,7 +56,16 @@ def _record(arguments: argparse.Namespace, shell: Shell) -> int | None:
     names = [shell.resolve(name) for name in arguments.names] or _boxes(shell)
 
     def write(name: str) -> Acted:
-        bag = shell.client.write_bag(name)
+        try:
+            bag = shell.client.write_bag(name)
+        except NodeletUnreachable as error:
+            known = shell.client.black_boxes()
+            if name in known:
+                raise
+            listed = ", ".join(known) or "none"
+            raise DyKnowError(
+                f"'{name}' is no black box; those of the manager: {listed}"
+            ) from error
         return [bag], [f"wrote {bag}"]
 
     return shell.for_each("nodelet", "wrote", names, write)
@@ -88,6 +97,8 @@ def _why(arguments: argparse.Namespace, shell: Shell) -> None:
 def _start(topics: list[str], shell: Shell) -> None:
     """Spawn a black box that keeps these topics."""
     name = shell.resolve("black_box")
+    if shell.client.get_graph().nodelet(name) is not None:
+        raise DyKnowError(f"'{name}' runs already; end it first: dyknow destroy {name}")
     if all(each.label != _LABEL for each in shell.client.get_model().transformations):
         shell.client.add_transformation(_SPECIFICATION)
     given = [

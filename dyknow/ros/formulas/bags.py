@@ -21,7 +21,8 @@ def bag_errors(path: str) -> Iterator[None]:
     try:
         yield
     except (OSError, rosbag.ROSBagException) as error:
-        raise DyKnowError(f"bag '{path}' cannot be read: {error}") from error
+        why = getattr(error, "strerror", None) or error
+        raise DyKnowError(f"bag '{path}' cannot be read: {why}") from error
     except Exception as error:  # the boundary: rosbag does not check what it reads
         problem = f"{type(error).__name__}: {error}"
         raise DyKnowError(f"bag '{path}' is damaged, or is no bag ({problem})") from error

@@ -200,7 +200,7 @@ class LibraryFiles:
                 text = file.read(self._settings.limits.text_size + 1)
             found = library.add(text, path)
         except OSError as error:
-            self._fails(path, f"are not added: {error}")
+            self._fails(path, f"are not added: {error.strerror or error}")
             self._stamps[path] = None  # it is tried again
             return frozenset()
         except (ValueError, DyKnowError) as error:

@@ -76,7 +76,7 @@ class FakeClient(SimulatedManagerClient):
         return sorted(self.boxes)
 
     def write_bag(self, nodelet: str) -> str:
-        found = self.boxes[nodelet]
+        found = self.boxes.get(nodelet, NodeletUnreachable("it offers no such service"))
         if isinstance(found, DyKnowError):
             raise found
         return found

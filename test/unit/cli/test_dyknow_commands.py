@@ -321,6 +321,16 @@ def test_graph_as_json_and_of_a_namespace(chain):
     assert '"n/cam"' not in run(chain, "graph --dot --namespace robot").out
 
 
+@pytest.mark.parametrize("command", ["list", "list -l", "graph --namespace"])
+def test_a_namespace_without_nodelets_is_named(chain, command):
+    assert run(chain, f"{command} robot").err == ""
+    told = "dyknow: warning: no nodelet is in the namespace"
+    assert run(chain, f"{command} robo").err == f"{told} '/robo'\n"
+    hint = "it is a nodelet: see 'dyknow info /cam'"
+    assert run(chain, f"{command} cam").err == f"{told} '/cam'; {hint}\n"
+    assert run(chain, f"{command} /").err == ""
+
+
 #: Of nodelets with outside connections, a hung one, and ones without ports or counts.
 STATS = """
 $ stats

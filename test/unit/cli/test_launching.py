@@ -350,6 +350,22 @@ def test_standard_input_is_a_launch_file_and_json_is_all_that_is_printed(capsys,
     ]
 
 
+def test_what_is_wrong_on_standard_input_is_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("<launch>\n<node"))
+    monkeypatch.setattr("sys.argv", ["dyknow", "launch", "-", "--dry-run"])
+    assert main(["launch", "-", "--dry-run"]) == 1
+    told = [line for line in capsys.readouterr().err.splitlines() if "loading XML" not in line]
+    assert told == [
+        "dyknow: standard input: Invalid roslaunch XML syntax: unclosed token: line 2, column 0"
+    ]
+
+
+def test_a_dry_run_says_what_roslaunch_warns_of(folder, capsys):
+    write(folder / "a.launch", "<nod pkg='x'/>")
+    assert main(["launch", "a.launch", "--dry-run"]) == 0
+    assert "dyknow: warning: unrecognized tag nod\n" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "environment", "message"),
     [

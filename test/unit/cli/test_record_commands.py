@@ -11,7 +11,7 @@ from genpy import Time
 from std_msgs.msg import Header
 from unit.cli.fake_client import Outcome, run
 
-from dyknow.errors import Refused
+from dyknow.errors import NodeletUnreachable, Refused
 from dyknow.nodelets.recording import KeptMessage, write_bag
 from dyknow.ros.shell.shell_client import ShellClient
 
@@ -113,6 +113,10 @@ def test_record_writes_the_bags_of_all_or_of_some(client):
     client.boxes = {"/a": "/bags/a.bag", "/b": Refused(refused)}
     assert run(client, "record") == Outcome(1, "wrote /bags/a.bag\n", f"dyknow: {refused}\n")
     assert run(client, "record a") == Outcome(0, "wrote /bags/a.bag\n", "")
+    told = "dyknow: '/c' is no black box; those of the manager: /a, /b\n"
+    assert run(client, "record c") == Outcome(1, "", told)
+    client.boxes["/a"] = NodeletUnreachable("it hangs")
+    assert run(client, "record a") == Outcome(1, "", "dyknow: it hangs\n")
 
 
 def test_a_black_box_is_started_for_some_topics_or_for_none(client):
@@ -122,6 +126,8 @@ def test_a_black_box_is_started_for_some_topics_or_for_none(client):
         assert run(client, f"record --black-box {topics}") == Outcome(0, said, "")
         assert client.world.host.parameters["/black_box/topics"] == kept
         assert client.world.host.parameters["/black_box/manager"] == client.manager
+        told = "dyknow: '/black_box' runs already; end it first: dyknow destroy /black_box\n"
+        assert run(client, f"record --black-box {topics}") == Outcome(1, "", told)
         client.destroy("/black_box")
     assert [call for call, _ in client.calls].count("add_transformation") == 1
 
@@ -154,6 +160,19 @@ def test_without_a_black_box_the_way_to_one_is_named(client, command):
     told = run(client, command)
     assert told.code == 1
     assert "no black box runs; start one: dyknow record --black-box '/camera/*'" in told.err
+
+
+@pytest.mark.parametrize("command", ["holds p.data --bag", "why --bag"])
+def test_a_bag_that_is_not_there_is_named_once(client, command):
+    told = "dyknow: bag 'no.bag' cannot be read: No such file or directory\n"
+    assert run(client, f"{command} no.bag") == Outcome(1, "", told)
+
+
+def test_holds_says_that_a_topic_of_a_known_type_is_not_published(client):
+    told = run(client, "holds 'rosout.level > 1' --for 0.01")
+    assert (told.code, told.out) == (1, "")
+    last = told.err.splitlines()[-1]
+    assert last == "dyknow: the topic /rosout of the port 'rosout' is not published"
 
 
 def test_holds_says_how_many_messages_came_too_late(client, tmp_path):
