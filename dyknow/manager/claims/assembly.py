@@ -357,7 +357,8 @@ class Assembly(Transaction):
 
     def _taken_topics(self) -> set[str]:
         """Topics on which the clients of other claims listen."""
-        return self.world.taken_topics(but=self._claim.claim_id)
+        claims, mine = self.world.claims, self._claim.claim_id
+        return {each.topic for each in claims if each.topic and each.claim_id != mine}
 
     def _free_topic(self, name: str, port: str) -> str:
         """Name a topic after an out-port, but none that a successor has taken over."""

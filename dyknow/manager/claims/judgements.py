@@ -148,10 +148,10 @@ class StreamMonitor:
 
     def paused(self, claims: Iterable[Claim]) -> frozenset[str]:
         """Labels of which no nodelet is to be made for these claims now."""
-        ids = {claim.claim_id for claim in claims}
+        theirs = tuple([f"{claim.claim_id} " for claim in claims])
         keys = self._failures_for_claims.paused | self._violations.paused
-        found = [key.split(" ", 1) for key in keys]
-        return self._failures.paused.union(label for claim_id, label in found if claim_id in ids)
+        labels = [key.split(" ", 1)[1] for key in keys if key.startswith(theirs)]
+        return self._failures.paused.union(labels)
 
     @property
     def pause_ends(self) -> float:

@@ -191,10 +191,6 @@ class World:
         """Transformations of type topic, with global topics."""
         return [each for found in self.described.values() for each in found]
 
-    def taken_topics(self, but: str = "") -> set[str]:
-        """Topics on which clients of claims, ``but`` one, listen."""
-        return {each.topic for each in self.claims if each.topic and each.claim_id != but}
-
     def publishers(self, topic: str) -> list[tuple[Record, list[str]]]:
         """Return the nodelets that run and publish on a topic, each with its ports there."""
         found = []

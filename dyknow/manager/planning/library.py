@@ -217,7 +217,7 @@ class OperatorIndex:
         actions = dict(self.actions)
         for action in gone:
             del actions[action.label]
-        actions.update((action.label, action) for action in added)
+        actions.update({action.label: action for action in added})
         guarded = self.guarded.difference(gone).union([each for each in added if each.requires])
         return OperatorIndex(self.names, actions, _edited(self.buckets, gone, added), guarded)
 
@@ -282,9 +282,8 @@ def _by_key(heads: Iterable[Head]) -> dict[_Key, dict[Head, None]]:
 def _edited(old: Buckets, gone: set[Operator], come: Iterable[Operator]) -> Buckets:
     """Return buckets without the heads of some actions, and with those of other actions."""
     new = dict(old)
-    less, more = (
-        _by_key([head for action in some for head in action.heads]) for some in (gone, come)
-    )
+    less = _by_key([head for action in gone for head in action.heads])
+    more = _by_key([head for action in come for head in action.heads])
     for key in {*less, *more}:
         heads = {**dict.fromkeys(old[key].heads if key in old else ()), **more.get(key, {})}
         for head in less.get(key, ()):

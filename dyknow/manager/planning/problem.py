@@ -130,8 +130,8 @@ class Plan:
     @cached_property
     def cost(self) -> int:
         """The sum over the steps and the charges."""
-        charges = [charge for _, charge in self.charges]
-        return sum([step.cost + step.charge for step in self.steps]) + sum(charges)
+        steps = sum([step.cost + step.charge for step in self.steps])
+        return steps + sum(dict(self.charges).values())
 
     @cached_property
     def sources(self) -> frozenset[Source]:
