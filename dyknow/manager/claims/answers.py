@@ -79,8 +79,11 @@ def _similar_tags(manager: Manager, answer: NoPlan) -> str:
     advice = ""
     for tag in sorted(missing)[:_EXPLAINED]:
         known = {str(_as_asked(each, missing[tag])) for each in supplied}
+        functor = missing[tag].functor
+        others = [str(each) for each in supplied if each.functor == functor]
         if tag not in known:
-            advice += did_you_mean(tag, known, at_most=2)
+            near = did_you_mean(tag, known, at_most=2)
+            advice += near or (f"; supplied: {listed(others)}" if others else "")
     return advice
 
 

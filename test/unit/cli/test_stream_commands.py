@@ -46,6 +46,9 @@ dyknow: ...(excluded: camra); did you mean Raw(camera)?; no transformation is la
 $ plan 'Rawe(camera)'
 dyknow: ...nothing supplies Rawe(camera); did you mean Raw(camera)?
 [1]
+$ plan Raw
+dyknow: ...nothing supplies Raw; supplied: Raw(camera)
+[1]
 $ plan 'FieldPosition(ball)'
 dyknow: ...nothing supplies FieldPosition(ball)
 [1]
