@@ -318,12 +318,30 @@ class Doctor:
         """Find transformations whose nodelet type, program or message type is not installed."""
         if not self._is_here:
             return
-        for problem in missing_here("library", self.model.transformations):
+        missing = list(missing_here("library", self.model.transformations))
+        if missing and not self._has_packages_of_manager():
+            yield _warning(
+                "library",
+                "not all sources and types are found here, but the DyKnow manager has another "
+                "ROS_PACKAGE_PATH",
+                "source the manager's workspace in this terminal, and ask again",
+            )
+            return
+        for problem in missing:
             yield _warning(
                 "library",
                 problem.message,
                 "build and source the package on every host, or import a corrected specification",
             )
+
+    def _has_packages_of_manager(self) -> bool:
+        """Whether the manager's process has our ROS_PACKAGE_PATH, as far as we may read that."""
+        for name, process in self._processes:
+            with contextlib.suppress(psutil.Error):
+                path = process.environ().get("ROS_PACKAGE_PATH")
+                if name == self.client.manager and path != os.environ.get("ROS_PACKAGE_PATH"):
+                    return False
+        return True
 
     def parameters(self) -> Iterator[Finding]:
         """Find parameters that nothing reads."""

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import os
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -62,6 +64,17 @@ def test_code_with_a_dangling_link(tmp_path):
     """As Emacs makes one beside a file that is edited."""
     (tmp_path / ".#edited.py").symlink_to("me@host.1234:1")
     assert list(doctor(code=tmp_path).versions()) == []
+
+
+def test_sources_are_looked_for_among_the_packages_of_the_manager(monkeypatch):
+    process = SimpleNamespace(environ=lambda: {"ROS_PACKAGE_PATH": os.environ["ROS_PACKAGE_PATH"]})
+    doctored = doctor()
+    vars(doctored)["_processes"] = [("/dyknow_manager", process)]
+    problems = [each.problem for each in doctored.library()]
+    assert problems and all("no package declares" in each for each in problems)
+    process.environ = lambda: {"ROS_PACKAGE_PATH": "/elsewhere"}
+    (found,) = doctored.library()
+    assert "the DyKnow manager has another ROS_PACKAGE_PATH" in found.problem
 
 
 @pytest.mark.parametrize("variable", ["ROS_HOME", "ROS_LOG_DIR", "state_dir"])
