@@ -128,6 +128,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
     try:
         return _run(command, argv)
+    except CannotRun as error:
+        print(f"nodelet: {error}", file=sys.stderr)
+        return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
 
@@ -151,11 +154,7 @@ def _run(command: NodeletCommand, argv: Sequence[str]) -> int:
         from dyknow.ros.process.programs import find_script
 
         remappings = [word for word in argv if ":=" in word]
-        try:
-            become_script([find_script(command.type), *command.my_argv, *remappings])
-        except CannotRun as error:
-            print(f"nodelet: {error}", file=sys.stderr)
-            return FAILED
+        become_script([find_script(command.type), *command.my_argv, *remappings])
     import dyknow.ros.lean  # noqa: F401
 
     if command.action in ("load", "unload"):

@@ -100,7 +100,9 @@ def _probe(arguments: argparse.Namespace, shell: Shell) -> None:
     try:
         master.ask("getPid")
     except PeerTimeout as error:
-        raise ManagerUnreachable(f"no ROS master at {master.uri}: is roscore running?") from error
+        raise ManagerUnreachable(
+            f"no ROS master at {master.uri}: is roscore running, and ROS_MASTER_URI right?"
+        ) from error
     with tempfile.TemporaryDirectory() as folder:
         output = os.path.join(folder, "output")
         own = (f"__name:={_base(arguments.executable)}", f"__ns:={names.parent(name)}")

@@ -13,6 +13,7 @@ import rospy
 
 from dyknow.formulas import Monitor, Verdict
 from dyknow.ros.formulas.individuals import take_waiting
+from dyknow.ros.process.node_process import init_node
 
 #: Most seconds between two looks at the clock and the individuals.
 _PATIENCE = 0.1
@@ -33,9 +34,7 @@ class LiveTopics:
     def __init__(self) -> None:
         """Become a node, if this process is none yet."""
         if not rospy.core.is_initialized():
-            rospy.init_node(
-                "dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True
-            )
+            init_node("dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True)
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
         #: The last message of each port, of an individual, that the monitor has not received.
         self._waiting: dict[tuple[str, str], Any] = {}

@@ -26,6 +26,7 @@ from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
+from dyknow.ros.process.node_process import init_node
 from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
 from dyknow.ros.transport.node import is_offered_within
 from dyknow.ros.wire.master import Master
@@ -62,13 +63,13 @@ def run_load(
     The node and the nodelet have the default name unless ``argv``, the command line with ROS's
     own arguments, has another. Returns the process's exit code.
     """
-    rospy.init_node(default_name, argv=list(argv), disable_signals=True)
+    init_node(default_name, argv=list(argv), disable_signals=True)
     return _LoadClient(rospy.get_name(), nodelet_type, manager, my_argv, bond).run()
 
 
 def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
     """Unload a nodelet by its name; returns the process's exit code."""
-    rospy.init_node("nodelet_unloader", argv=list(argv), disable_signals=True)
+    init_node("nodelet_unloader", argv=list(argv), disable_signals=True)
     return DONE if unload(name, manager, _UNLOAD_TIMEOUT) else FAILED
 
 

@@ -28,7 +28,7 @@ from rospy.impl.masterslave import ROSHandler
 from rospy.impl.paramserver import get_param_server_cache
 
 from dyknow import names
-from dyknow.errors import BadParameter, DyKnowError
+from dyknow.errors import BadParameter, CannotRun, DyKnowError
 from dyknow.nodelet.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
@@ -121,7 +121,7 @@ class NodeProcess:
                 _hear_of_displacement(self._on_displaced)
             descriptors.spare()
             names.check(name_of(self._argv, self._node), "name of a node")
-            rospy.init_node(self._node, argv=self._argv, disable_signals=True)
+            init_node(self._node, argv=self._argv, disable_signals=True)
             log_without_the_master()
             _print_logs_at_least()
             descriptors.enlarge_queue()
@@ -162,6 +162,19 @@ class NodeProcess:
         """Hold up a shutdown by rosnode kill until everything is closed in order."""
         self.end()
         self._closed.wait(_CLOSE_PATIENCE)
+
+
+def init_node(name: str, **options: Any) -> None:
+    """Become a node, as by `rospy.init_node`; raises CannotRun if its log cannot be written."""
+    try:
+        rospy.init_node(name, **options)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise CannotRun(
+            f"the log cannot be written: {error.strerror}: '{error.filename}'; set ROS_LOG_DIR to "
+            "a folder that can be written"
+        ) from error
 
 
 def name_of(argv: Sequence[str], default: str) -> str:

@@ -22,13 +22,23 @@ from clocks import eventually, patch_here
 from rospy.impl import paramserver, tcpros_base
 from std_msgs.msg import Header
 
-from dyknow.errors import LimitExceeded
+from dyknow.errors import CannotRun, LimitExceeded
 from dyknow.names import LOG_PARAMETER
 from dyknow.ros.process import descriptors
-from dyknow.ros.process.node_process import log_without_the_master
+from dyknow.ros.process.node_process import init_node, log_without_the_master
 
 #: In the kernel's struct tcp_info: of a socket that listens this is the length of its queue.
 _QUEUE_AT = 28
+
+
+def test_a_log_that_cannot_be_written_is_named_with_the_cure(monkeypatch):
+    def fail(*args, **options):
+        raise PermissionError(errno.EACCES, "Permission denied", "/logs/m.log")
+
+    patch_here(monkeypatch, rospy, "init_node", fail)
+    told = "the log cannot be written: Permission denied: '/logs/m.log'; set ROS_LOG_DIR to"
+    with pytest.raises(CannotRun, match=told):
+        init_node("m")
 
 
 def used():
