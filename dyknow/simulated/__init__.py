@@ -19,7 +19,7 @@ from dyknow import names
 from dyknow.errors import DyKnowError, HostError, NodeletUnreachable, Refused
 from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_names
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
@@ -260,7 +260,7 @@ class SimulatedManagerClient(BaseManagerClient):
                 acquired = self.reconciler.acquire(request, dry_run)
             except DyKnowError as error:
                 raise refusal_of(error) from error
-            return self._answers.acquisition(acquired, unknown_labels(self.core, request.exclude))
+            return self._answers.acquisition(acquired, unknown_names(self.core, request))
 
     def release_stream(self, claim_id: str) -> None:
         with self._request("release_stream", claim_id):

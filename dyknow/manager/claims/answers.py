@@ -31,7 +31,14 @@ from dyknow.manager.planning.explanation import as_tree
 from dyknow.manager.planning.problem import NoPlan
 from dyknow.manager.specifications.findings import listed
 from dyknow.manager.specifications.tags import Term, read_tags, written_bindings
-from dyknow.model.streams import Acquisition, ClaimState, Replanned, StreamEvent, StreamStatus
+from dyknow.model.streams import (
+    Acquisition,
+    ClaimState,
+    Replanned,
+    StreamEvent,
+    StreamRequest,
+    StreamStatus,
+)
 from dyknow.model.transformation import OUT
 from dyknow.similar import did_you_mean
 
@@ -64,17 +71,41 @@ def unknown_labels(manager: Manager, exclude: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def _similar_tags(manager: Manager, answer: NoPlan) -> str:
+def unknown_names(manager: Manager, request: StreamRequest) -> tuple[str, ...]:
+    """Say which labels that a client excludes, and which names of its wishes, mean nothing."""
+    found = unknown_labels(manager, request.exclude) if request.exclude else ()
+    wishes = (*request.prefer, *request.avoid)
     transformations = manager.library.all()
-    if len(transformations) > _SEARCHED:
-        return ""
-    supplied: set[Term] = {
+    if not wishes or len(transformations) > _SEARCHED:
+        return found
+    ontology = manager.library.ontology
+    named = {each.label for each in transformations}
+    named |= {record.label for record in manager.graph.all()}
+    said = {name for term in _supplied(manager) for name in (term.functor, *term.args)}
+    concepts = {above for each in said for above in ontology.names_above(ontology.canonical(each))}
+    unknown = [e for e in wishes if e not in named and ontology.canonical(e) not in concepts]
+    known = named | said
+    return found + tuple(
+        f"no transformation, and no name in its tags, is '{each}'{did_you_mean(each, known)}"
+        for each in unknown[:_EXPLAINED]
+    )
+
+
+def _supplied(manager: Manager) -> set[Term]:
+    """The tags of all out-ports."""
+    return {
         term
-        for each in transformations
+        for each in manager.library.all()
         for port in each.ports
         if port.direction == OUT
         for term in read_tags(port.tags)
     }
+
+
+def _similar_tags(manager: Manager, answer: NoPlan) -> str:
+    if len(manager.library.all()) > _SEARCHED:
+        return ""
+    supplied = _supplied(manager)
     missing = {str(term): term for demand in answer.missing for term in demand.tags}
     advice = ""
     for tag in sorted(missing)[:_EXPLAINED]:

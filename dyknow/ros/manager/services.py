@@ -16,7 +16,7 @@ from dyknow_msgs import msg, srv
 from dyknow.errors import BadParameter, DuplicatePort, DyKnowError, InvalidConfiguration
 from dyknow.locks import turn_lock
 from dyknow.manager.claim import ClaimEvent
-from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_labels
+from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_names
 from dyknow.manager.claims.reconciler import StreamReconciler
 from dyknow.manager.specifications.given import undeclared
 from dyknow.manager.specifications.tags import written_bindings
@@ -269,7 +269,7 @@ class ManagerServices:
     def _acquire(self, request: Any) -> Any:
         wanted = acquire_from(request)
         acquired = self._reconciler.acquire(wanted, request.dry_run)
-        unknown = unknown_labels(self._manager, wanted.exclude)
+        unknown = unknown_names(self._manager, wanted)
         return acquisition_message(self._answers.acquisition(acquired, unknown))
 
     def _release(self, request: Any) -> None:
