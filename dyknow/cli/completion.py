@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 Completer = Callable[..., List[str]]
 
 _TIMEOUT = 0.2  # seconds to wait for each answer
-#: Seconds after which completion ends without an answer; 100,000 labels would take longer.
+#: Seconds after which an answer is given up; 100,000 labels would take longer. The start of Python
+#: does not count: on a busy machine it alone takes so long.
 _LIMIT = 1.0
 #: In names of files, what stands for bytes that are not UTF-8.
 _NO_UNICODE = re.compile("[\ud800-\udfff]")
@@ -44,15 +45,15 @@ def autocomplete(parser: argparse.ArgumentParser) -> None:
         return
     import argcomplete
 
-    signal.signal(signal.SIGALRM, lambda *_: os._exit(1))
-    signal.setitimer(signal.ITIMER_REAL, _LIMIT)
     argcomplete.autocomplete(parser, always_complete_options=False, default_completer=_nothing)
 
 
 def connect(manager_node: str) -> ShellClient:
-    """Make a client that answers quickly or not at all."""
+    """Make a client that answers quickly or not at all: the process ends at the limit."""
     from dyknow.ros.shell.shell_client import ShellClient
 
+    signal.signal(signal.SIGALRM, lambda *_: os._exit(1))
+    signal.setitimer(signal.ITIMER_REAL, _LIMIT)
     return ShellClient(manager_node, _TIMEOUT)
 
 

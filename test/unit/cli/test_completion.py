@@ -47,7 +47,6 @@ def offered(client, text):
         os.environ.update(_ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)))
         os.environ["_ARGCOMPLETE_COMP_WORDBREAKS"] = " \t\n\"'><=;|&(:"
         completion.connect = cast(Any, lambda manager: client)
-        completion._LIMIT = PATIENCE  # of a busy machine, not of a user
         try:
             completion.autocomplete(build_parser()[0])
         finally:
