@@ -277,12 +277,8 @@ class GraphPanel(QWidget):
         scene.show_past(self.timeline.moment is not None)
 
     def eventFilter(self, watched: object, event: QEvent) -> bool:  # noqa: N802
-        """Keep the message in the middle, and follow changes of the palette."""
-        if event.type() == QEvent.Resize:
-            self._show_sign()
-            self.card.place()
-            self._turning.start()
-        elif event.type() == QEvent.PaletteChange:
+        """Follow changes of the view's palette."""
+        if event.type() == QEvent.PaletteChange:
             self._grey()
             self._show_sign()
         return False
@@ -306,6 +302,8 @@ class GraphPanel(QWidget):
         self.layouter.failed.connect(self._line.report)
         self.edits.moved.connect(self._keep_places)
         view.box_pressed.connect(bar.toggle_box)
+        for follow in (self._show_sign, self.card.place, self._turning.start):
+            view.resized.connect(follow)
         view.topic_pressed.connect(self.card.show_topic)
         view.menu_wanted.connect(self._show_menu)
         bar.options_changed.connect(self.redraw)

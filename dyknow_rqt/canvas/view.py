@@ -67,6 +67,8 @@ class GraphView(QGraphicsView):
     delete_pressed = Signal()
     #: A context menu is wanted: the item, or None for the background, and the place on the screen.
     menu_wanted = Signal(object, QPoint)
+    #: It has another size, which its viewport has too.
+    resized = Signal()
 
     def __init__(self) -> None:
         super().__init__()
@@ -162,6 +164,7 @@ class GraphView(QGraphicsView):
         if not self.is_chosen:
             self.fit()
         self._follow()
+        self.resized.emit()
 
     def wheelEvent(self, event: Any) -> None:  # noqa: N802
         self.zoom_by(_STEP ** (event.angleDelta().y() / 120))

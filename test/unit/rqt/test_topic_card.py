@@ -142,6 +142,15 @@ def test_a_click_on_an_arrow_shows_its_last_message(qtbot, window, remote):
     assert view.viewport().rect().contains(card.geometry())
 
 
+def test_the_card_stays_in_a_view_that_becomes_smaller(window):
+    view, card = window.graph.view, window.graph.card
+    card.show_topic(BALL)
+    for size in ((1400, 800), (640, 480), (900, 700)):
+        window.resize(*size)
+        window.grab()  # which lays it out
+        assert view.viewport().rect().contains(card.geometry())
+
+
 def test_what_an_ordinary_node_publishes_has_the_rate_of_its_sink(qtbot, window, remote):
     window.graph.card.show_topic("/nao1/joint_states")
     until(qtbot, lambda: "50 Hz" in window.graph.card.facts.text())
