@@ -22,8 +22,9 @@ from dyknow_rqt.graph.measurements import Strain
 
 #: Pixels that lines of a name may be higher than its vertex: letters leave a little room.
 _OVER = 4.0
-#: Pixels that a name may be wider than its vertex, over the ends of its arrows.
-_BESIDE = 44.0
+#: Pixels that a name may be wider than its vertex: over the ends of its arrows, or, in a downward
+#: flow, towards its neighbours.
+_BESIDE, _BETWEEN = 44.0, 24.0
 #: Size of a vertex that is drawn around its name, in that of the name.
 _AROUND = 1.06
 #: Size of a badge, in that of the name; a name that is larger by the factor leaves no room for it.
@@ -155,9 +156,11 @@ class VertexItem(Item):
         larger = LEAST_TEXT / (self._height * painter.worldTransform().m11())
         badge, label = self._badge() if larger < _MOST else "", self._label
         if larger > 1.0:
-            label = self._cut((area.width() + _BESIDE) / larger, area.height() / larger)
+            beside = _BETWEEN if self._is_downwards else _BESIDE
+            label = self._cut((area.width() + beside) / larger, area.height() / larger)
             if self._is_downwards or self.vertex.kind.is_square:  # no ports at its sides
-                wider = max(0.0, self._cut_width * larger * _AROUND - area.width()) / 2
+                most = max(0.0, self._cut_width * larger * _AROUND - area.width())
+                wider = min(most, beside) / 2
                 area = area.adjusted(-wider, 0, wider, 0)
         painter.setPen(self.stroke())
         painter.setBrush(self.fill())
@@ -203,11 +206,12 @@ class VertexItem(Item):
             painter.drawArc(area, 90 * _DEGREE, -round(share * 360) * _DEGREE)
 
     def _cut(self, width: float, height: float) -> str:
-        """As much of the name as there is room for; kept while that is as it was."""
+        """As much of the label as there is room for; kept while that is as it was."""
         if self._cut_for != (self._label, width, height):
-            lines, metrics = self._label.split("\n"), self._metrics
-            if metrics.height() * len(lines) > height + _OVER:
-                lines = ["".join(self._label.partition("\n")[::2])]
+            metrics, title = self._metrics, self.vertex.title
+            *more, least = (t.split("\n") for t in (self._label, title, title.replace("\n", "")))
+            room = (height + _OVER) / metrics.height()
+            lines = next((lines for lines in more if len(lines) <= room), least)
             lines = [metrics.elidedText(line, Qt.ElideMiddle, width) for line in lines]
             self._cut_for, self._cut_text = (self._label, width, height), "\n".join(lines)
             self._cut_width = max(map(metrics.horizontalAdvance, lines))

@@ -77,11 +77,14 @@ class Vertex:
     note: str = ""
 
     @property
-    def label(self) -> str:
+    def title(self) -> str:
         """The name as it is drawn: without the namespace of its box; a long one in two lines."""
         space = f"{self.group[-1]}/" if self.group else ""
-        name = self.name[len(space) :] if self.name.startswith(space) else self.name
-        return _label(name) + (f"\n{self.note}" if self.note else "")
+        return _label(self.name[len(space) :] if self.name.startswith(space) else self.name)
+
+    @property
+    def label(self) -> str:
+        return self.title + (f"\n{self.note}" if self.note else "")
 
 
 @lru_cache(maxsize=20_000)

@@ -215,3 +215,29 @@ def test_a_vertex_is_drawn_around_its_name_where_no_port_is(qapp, kind, is_downw
     else:
         assert area == item.area
     assert item.boundingRect().contains(area)
+
+
+@pytest.mark.parametrize("zoom", [0.4, 0.6, 0.8])
+@pytest.mark.parametrize("kind", [VertexKind.CLAIM, VertexKind.BOX, VertexKind.GHOST])
+def test_a_note_is_written_below_its_name_or_not_at_all(qapp, kind, zoom):
+    """The rest of a label that is cut is in the tool tip."""
+    vertex = Vertex("v", kind, "/part3", note="10 nodelets\nhere")
+    item = VertexItem(vertex, colours_of(QPalette()), _FONT)
+    item.set_vertex(vertex, SIZE)
+    larger = LEAST_TEXT / (QFontMetricsF(_FONT).ascent() * zoom)
+    for lines in (1.0, 2.0, 3.0):
+        written = item._cut(300.0, QFontMetricsF(_FONT).height() * lines / max(1.0, larger))
+        assert written in ("/part3", "/part3\n10 nodelets\nhere")
+
+
+def test_topics_side_by_side_do_not_meet_however_small_they_are(qapp):
+    """They are as far apart as graphviz puts them in a downward flow."""
+    item = VertexItem(Vertex("v", VertexKind.TOPIC, "x" * 40), colours_of(QPalette()), _FONT)
+    size = Size(110.0, 30.0)
+    item.set_vertex(replace(item.vertex, key="w"), size, True)
+    painter = Mock()
+    for zoom in (0.35, 0.5, 0.7):
+        painter.worldTransform.return_value.m11.return_value = zoom
+        item.paint(painter, None)
+        (area,) = painter.drawRect.call_args.args
+        assert zoom * (area.width() - size.width - 0.3 * 72) < 2.0  # or only with their margins
