@@ -30,7 +30,8 @@ _FAINT = 0.35
 class Marks(QObject):
     """The marks of a scene, also of things that are drawn after the difference is known.
 
-    A nodelet that went is drawn faintly where it was, and linked with the one that replaces it.
+    A nodelet that went is drawn faintly where it was, unless another is there now, and linked with
+    the one that replaces it.
     """
 
     def __init__(self, scene: GraphScene) -> None:
@@ -97,6 +98,9 @@ class Marks(QObject):
             item.change(mark=self.of(item))
         for name in [name for name in self.ghosts if name not in shown.went]:
             scene.removeItem(self.ghosts.pop(name))
+        for ghost in self.ghosts.values():
+            over = (each for each in ghost.collidingItems() if isinstance(each, VertexItem))
+            ghost.setVisible(not any(each.isEnabled() for each in over))
         for link in self.links:
             scene.removeItem(link)
         self.links = []

@@ -115,6 +115,11 @@ def test_what_came_went_and_moved_is_marked_for_some_seconds(qtbot, window, remo
     assert ghost.mark is Mark.WENT and ghost.scene() is scene and not ghost.isEnabled()
     assert window.graph.view._item_at(window.graph.view.mapFromScene(ghost.pos())) is None
     assert window.graph.view.grab().toImage() != plain
+    place = ghost.pos()
+    for where, is_seen in ((scene.vertices["n_/nao1/resize"].pos(), False), (place, True)):
+        ghost.setPos(where)
+        marks.apply()
+        assert ghost.isVisible() is is_seen
     marks._noted = [(0.0, found) for _, found in marks._noted]
     marks._ending.start(0)
     until(qtbot, lambda: not marks.ghosts)
