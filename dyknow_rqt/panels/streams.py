@@ -270,10 +270,10 @@ class StreamsPanel(Panel):
         self._show_way(self._explained)
 
     def _show_event(self, event: StreamEvent) -> None:
-        before = event.before.state.name.lower() + " → " if event.before is not None else ""
+        states = [each.state.name.lower() for each in (event.before, event.after) if each]
         moment = time.strftime("%H:%M:%S", time.localtime(event.stamp))
         self.events.appendPlainText(
-            f"{moment}  {event.after.bound_tag}: {before}{event.after.state.name.lower()}"
+            f"{moment}  {event.after.bound_tag}: {' → '.join(dict.fromkeys(states))}"
             + (f" ({event.reason})" if event.reason else "")
         )
 

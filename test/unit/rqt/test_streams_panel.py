@@ -13,7 +13,7 @@ from python_qt_binding.QtGui import QGuiApplication
 from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, show, undo, until, vertex_keys
 
 from dyknow.model.graph import State
-from dyknow.model.streams import Replanned, StreamRequest
+from dyknow.model.streams import Replanned, StreamEvent, StreamRequest
 from dyknow_rqt.canvas.appearance import Tone
 from dyknow_rqt.graph.filters import tag_completions
 
@@ -55,6 +55,9 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     panel.ended.setChecked(True)
     assert cells_of(panel.table, 0)[2] == "released" and not panel.release.isEnabled()
     until(qtbot, lambda: "active → released" in panel.events.toPlainText())
+    (stream,) = window.monitor.streams
+    window.monitor.stream_event.emit(StreamEvent(0.0, stream, stream, "forgotten"))
+    assert panel.events.toPlainText().endswith("Track(ball): released (forgotten)")
 
 
 def test_what_matters_is_asked_for(qtbot, window, remote):
