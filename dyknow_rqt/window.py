@@ -38,6 +38,8 @@ from dyknow_rqt.widgets import KeysDialog, bare_column_in
 #: Pixels: a window that is less wide than high and than this is narrow. The control panel is shown
 #: in a narrow one that is higher than the second, and in another that is wider than the first.
 _NARROW, _SMALL = 800, 560
+#: Shares of control panel and graph; pixels that the panel has at least, and that its pages need.
+_SHARES, _LEAST_PANEL, _PAGE = (300, 700), (160, 120), 390
 #: A docked widget that is smaller shows no graph.
 _LEAST = QSize(480, 320)
 
@@ -78,10 +80,9 @@ class DyKnowWidget(QWidget):
         self.parts = QSplitter(Qt.Horizontal)
         self.parts.addWidget(self.tabs)
         self.parts.addWidget(self.graph)
-        self.parts.setStretchFactor(1, 1)
         self.parts.setChildrenCollapsible(False)
-        self.parts.setSizes([480, 1120])
-        self.tabs.setMinimumSize(160, 120)  # less than its pages would like
+        self.parts.setSizes(_SHARES)
+        self.tabs.setMinimumSize(*_LEAST_PANEL)
         bare_column_in(self, self.parts, self.line).setStretch(0, 1)
         self._listen()
 
@@ -93,11 +94,12 @@ class DyKnowWidget(QWidget):
         """Put the control panel below the graph in a narrow window, and away in a small one."""
         super().resizeEvent(event)
         size = event.size()
+        self.tabs.setMinimumWidth(_PAGE if size.width() >= _NARROW else _LEAST_PANEL[0])
         is_narrow = size.width() < _NARROW and size.width() < size.height()
         if is_narrow is not (self.parts.orientation() == Qt.Vertical):
             self.parts.setOrientation(Qt.Vertical if is_narrow else Qt.Horizontal)
             self.parts.insertWidget(int(is_narrow), self.tabs)
-            self.parts.setSizes([600, 400] if is_narrow else [350, 650])
+            self.parts.setSizes([600, 400] if is_narrow else _SHARES)
         if not self._is_chosen:
             is_room = size.height() >= _SMALL if is_narrow else size.width() >= _NARROW
             self._show_panel(is_room)

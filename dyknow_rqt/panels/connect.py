@@ -91,7 +91,7 @@ class ConnectPanel(Panel):
             ("", self.replaced),
             ("", row_of(self.connect_topic, self.disconnect_port)),
         )
-        column_in(self, two, one).addStretch(1)
+        column_in(self.page, two, one).addStretch(1)
         for choice in (self.source, self.sink, self.single):
             choice.nodelet.currentIndexChanged.connect(self._follow)
             choice.port.currentIndexChanged.connect(self._follow)

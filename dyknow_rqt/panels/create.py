@@ -134,7 +134,7 @@ class CreatePanel(Panel):
         form.addRow("Ports:", self.ports)
         form.addRow("Parameters:", self.given)
         form.addRow("", self.create)
-        column_in(self, form).addStretch(1)
+        column_in(self.page, form).addStretch(1)
         monitor.library_changed.connect(self._show_library)
         monitor.changed.connect(self._show_managers)
         monitor.settled.connect(self._follow)

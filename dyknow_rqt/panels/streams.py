@@ -334,7 +334,7 @@ class StreamsPanel(Panel):
         for part, stretch in ((self.plan, 3), (middle, 2), (self.events, 2)):
             parts.addWidget(part)
             parts.setStretchFactor(parts.count() - 1, stretch)
-        column_in(self, form, parts).setStretch(1, 1)
+        column_in(self.page, form, parts).setStretch(1, 1)
 
 
 def _state(stream: StreamStatus) -> str:

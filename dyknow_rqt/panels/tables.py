@@ -21,6 +21,7 @@ from python_qt_binding.QtWidgets import (
     QAbstractItemView,
     QAction,
     QHeaderView,
+    QScrollArea,
     QTableView,
     QTreeWidget,
     QTreeWidgetItem,
@@ -33,12 +34,19 @@ from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import field_of, wrapped
 
 
-class Panel(QWidget):
-    """A tab of the control panel: makes changes by the monitor, and asks in the status line."""
+class Panel(QScrollArea):
+    """A tab of the control panel: makes changes by the monitor, and asks in the status line.
+
+    Its page scrolls where there is too little room.
+    """
 
     def __init__(self, monitor: GraphMonitor, line: StatusLine) -> None:
-        super().__init__()
-        self._monitor, self._line = monitor, line
+        super().__init__(widgetResizable=True, focusPolicy=Qt.NoFocus)
+        self._monitor, self._line, self.page = monitor, line, QWidget()
+        self.setFrameShape(self.NoFrame)
+        self.setWidget(self.page)
+        for ground in (self.viewport(), self.page):
+            ground.setAutoFillBackground(False)  # that of the tab is seen
 
 
 #: The number of rows that determine the width of columns.

@@ -21,6 +21,7 @@ from unit.rqt.hands import (
     create,
     is_ready,
     pauses,
+    show,
     undo,
     until,
     vertex_keys,
@@ -176,6 +177,26 @@ def test_a_hidden_control_panel_comes_back_after_a_restart(qtbot, window, remote
     assert not other.tabs.isVisible()
     click(qtbot, other.graph.bar.panel)
     until(qtbot, lambda: not other.tabs.visibleRegion().isEmpty())
+
+
+def test_the_graph_has_most_of_the_room_and_the_control_panel_scrolls(qtbot, window):
+    for _ in range(2):
+        window.graph.bar.panel.trigger()  # it is wanted in small windows too
+
+    def is_whole(tab):
+        width, layout = tab.page.width(), tab.page.layout()
+        least = layout.heightForWidth(width) if layout.hasHeightForWidth() else 0
+        least = max(least, layout.minimumSize().height())
+        return tab.page.height() >= least and width >= layout.minimumSize().width()
+
+    for size in ((1400, 800), (1024, 700), (640, 480), (640, 900), (1024, 700)):
+        window.resize(*size)
+        panel, graph = window.parts.sizes()[:: 1 if size[0] > size[1] else -1]
+        assert graph >= 0.6 * (panel + graph) or size == (640, 480)
+        for tab in (window.library, window.create_, window.connect_, window.streams):
+            show(window, tab)
+            until(qtbot, lambda tab=tab: is_whole(tab))
+        until(qtbot, lambda: window.streams.table.viewport().height() > 24)  # a row is seen
 
 
 @pytest.mark.long
