@@ -297,6 +297,15 @@ def test_connections_made_one_by_one_end_in_a_drawing_from_left_to_right():
         _check_apart(drawing)
 
 
+def test_a_chain_that_is_turned_round_leads_from_left_to_right_again():
+    """All vertices are those of before, and could keep their places."""
+    before = drawn(figure_of(chain(6), Options()))
+    ports = [(*([f">in=/t{i + 1:02}"] if i < 5 else []), f"out>=/t{i:02}") for i in range(6)]
+    snapshot = Snapshot(tuple(nodelet(f"/n{i:02}", *each) for i, each in enumerate(ports)))
+    after = drawn(figure_of(snapshot, Options()), before)
+    assert backwards(after.layout.centres, after.figure, after.sizes) == 0
+
+
 def _check_apart(drawing):
     places = drawing.layout.centres.items()
     areas = {key: around(place, drawing.sizes[key]) for key, place in places}
