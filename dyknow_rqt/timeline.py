@@ -167,8 +167,7 @@ class TimelinePanel(QWidget):
             self.track.follow()
             if before is not None:
                 self.changed.emit(difference(before, moment))
-            if self.isVisible():
-                self._say()
+            self._say()
 
     def _tell(self) -> None:
         self._say()
@@ -201,8 +200,8 @@ class TimelinePanel(QWidget):
         self.words.setText(self.words.fontMetrics().elidedText(text, Qt.ElideRight, room))
         self.words.setToolTip(wrapped("\n".join(lines)))
 
-    def showEvent(self, event: Any) -> None:  # noqa: N802
-        super().showEvent(event)
+    def resizeEvent(self, event: Any) -> None:  # noqa: N802
+        super().resizeEvent(event)
         self._say()
 
     def hideEvent(self, event: Any) -> None:  # noqa: N802

@@ -190,6 +190,11 @@ def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, t
     assert track._colour(ClaimState.ACTIVE).name() in lowest
     paper = scene.backgroundBrush().color()
     assert "(now); last change: − /nao1/recorder" in timeline.words.text()
+    for width, is_cut in ((200, True), (900, False)):
+        timeline.resize(width, timeline.height())
+        words = timeline.words.text()
+        assert words.endswith("…") is is_cut
+        assert timeline.words.fontMetrics().horizontalAdvance(words) <= width
     qtbot.mouseClick(track, Qt.LeftButton, pos=QPoint(0, 5))
     until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
     until(qtbot, lambda: "n_/field/another" not in vertex_keys(window))
