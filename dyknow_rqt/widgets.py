@@ -185,4 +185,4 @@ class KeysDialog(QDialog):
         form = QFormLayout(self)
         form.setHorizontalSpacing(24)
         for keys, what in KEYS:
-            form.addRow(QLabel(f"<b>{keys}</b>"), QLabel(what, wordWrap=True, minimumWidth=300))
+            form.addRow(QLabel(f"<b>{keys}</b>"), QLabel(what))

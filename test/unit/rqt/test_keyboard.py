@@ -132,8 +132,10 @@ def test_the_keys_are_listed_in_the_window_and_in_the_documentation(qtbot, windo
     qtbot.keyClick(window.active.table, Qt.Key_Question, Qt.ShiftModifier)
     dialog = window.findChild(KeysDialog)
     assert dialog.isVisible()
-    texts = [label.text() for label in dialog.findChildren(QLabel)]
+    labels = dialog.findChildren(QLabel)
+    texts = [label.text() for label in labels]
     assert all(what in texts for _, what in KEYS)
+    assert all(each.height() >= each.heightForWidth(each.width()) for each in labels)
     dialog.close()
     for action in window.actions():
         for shortcut in action.shortcuts():
