@@ -71,21 +71,17 @@ class DoneChange(NamedTuple):
             step.undo()
 
 
+@dataclass(frozen=True)
 class Change:
-    """A change that the user makes; `text` describes it in a few words."""
+    """A change that the user makes, described in a few words.
+
+    Its steps may ask the client. The check comes before a redo, and raises CannotUndo if another
+    client has changed the same things since.
+    """
 
     text: str
-
-    def steps(self, present: Present) -> Sequence[ReversibleStep]:
-        """List the steps that make the change; may ask the client."""
-        raise NotImplementedError
-
-    def check(self, client: BaseManagerClient) -> None:
-        """Check that the change still makes sense; called before a redo.
-
-        Raises:
-            CannotUndo: another client has changed the same things since.
-        """
+    steps: Callable[[Present], Sequence[ReversibleStep]] = field(compare=False)
+    check: Callable[[BaseManagerClient], None] = field(default=lambda client: None, compare=False)
 
     def apply(self, present: Present) -> DoneChange:
         """Make the change as a whole or not at all."""
@@ -142,21 +138,9 @@ class UndoHistory:
         )
 
 
-@dataclass(frozen=True)
-class Steps(Change):
-    """A change given by a function that lists its steps."""
-
-    text: str
-    plan: Callable[[Present], Sequence[ReversibleStep]]
-
-    def steps(self, present: Present) -> Sequence[ReversibleStep]:
-        """Call the function."""
-        return self.plan(present)
-
-
 def _one_step(text: str, make: Callable[[Present], DoAndUndo]) -> Change:
     """Return a change of one step; `make` returns the functions that do, undo and check it."""
-    return Steps(text, lambda present: [ReversibleStep(text, "", *make(present))])
+    return Change(text, lambda present: [ReversibleStep(text, "", *make(present))])
 
 
 def _no_way(reason: str) -> Callable[[], NoReturn]:
@@ -232,7 +216,7 @@ def isolate(names: Sequence[str], on: bool) -> Change:
         return [step for name in names for step in make(name, present, pinned)]
 
     what = names[0] if len(names) == 1 else f"{len(names)} nodelets"
-    return Steps(f"isolate {what}" if on else f"let {what} share a process", plan)
+    return Change(f"isolate {what}" if on else f"let {what} share a process", plan)
 
 
 def restart(names: Sequence[str]) -> Change:
@@ -245,7 +229,7 @@ def restart(names: Sequence[str]) -> Change:
         return ReversibleStep(f"restart {name}", name, do, _no_way(f"{name} was restarted"))
 
     what = names[0] if len(names) == 1 else f"{len(names)} nodelets"
-    return Steps(f"restart {what}", lambda present: [make(name, present) for name in names])
+    return Change(f"restart {what}", lambda present: [make(name, present) for name in names])
 
 
 def set_parameters(
@@ -279,7 +263,7 @@ def set_parameters(
     what = ", ".join(f"{each.name}={each.text}" for each in wanted)
     last = {each.name: each for each in wanted}.values()
     in_turn = sorted(last, key=lambda each: each.name in before)
-    return Steps(f"set {what} of {name}", lambda present: [make(p, present) for p in in_turn])
+    return Change(f"set {what} of {name}", lambda present: [make(p, present) for p in in_turn])
 
 
 def protect(name: str, on: bool) -> Change:
@@ -340,7 +324,7 @@ def remove_transformations(labels: Sequence[str]) -> Change:
         ]
 
     what = labels[0] if len(labels) == 1 else f"{len(labels)} transformations"
-    return Steps(f"delete {what}", plan)
+    return Change(f"delete {what}", plan)
 
 
 def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
@@ -357,7 +341,7 @@ def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
             raise CannotLoad("\n".join(found.problems))
         return steps_of(found, client)
 
-    return Steps(f"load {origin}", plan)
+    return Change(f"load {origin}", plan)
 
 
 def acquire(request: StreamRequest) -> Change:

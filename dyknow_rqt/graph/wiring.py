@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Iterator, Mapping, Sequence
 
 from dyknow import names
@@ -17,7 +18,7 @@ from dyknow.model.graph import PortRef, PortState, SpawnRequest
 from dyknow.model.transformation import IN, OUT, Port, Transformation
 from dyknow.wiring import ports
 from dyknow.wiring.ports import CannotConnect
-from dyknow_rqt.graph.changes import Change, Present, Steps, spawn
+from dyknow_rqt.graph.changes import Change, Present, spawn
 from dyknow_rqt.graph.figure import Edge, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot
 
@@ -29,8 +30,7 @@ class Rewire(Change):
     An empty topic disconnects a port; ``expected`` has their topics before the change.
     """
 
-    topics: tuple[tuple[PortRef, str], ...]
-    text: str
+    topics: tuple[tuple[PortRef, str], ...] = ()
     expected: tuple[tuple[PortRef, str], ...] = ()
 
     @property
@@ -39,23 +39,6 @@ class Rewire(Change):
         ends = dict(self.expected)
         lost = [f"{ends[ref]} at {ref}" for ref, topic in self.topics if ends.get(ref) and topic]
         return f"replaces {', '.join(lost)}" if lost else ""
-
-    def steps(self, present: Present) -> Sequence[ReversibleStep]:
-        """Connect all ports in one step."""
-        client = present.client
-        return [
-            ReversibleStep(
-                self.text,
-                "",
-                lambda: client.connect(_by_nodelet(self.topics)),
-                lambda: client.connect(_by_nodelet(self.expected)),
-                lambda: _check(client, self.topics),
-            )
-        ]
-
-    def check(self, client: BaseManagerClient) -> None:
-        """Check that the ports are connected as they were before the change."""
-        _check(client, self.expected)
 
 
 def _by_nodelet(topics: Sequence[tuple[PortRef, str]]) -> list[tuple[str, dict[str, str]]]:
@@ -155,7 +138,13 @@ def rewire(snapshot: Snapshot, topics: tuple[tuple[PortRef, str], ...], text: st
         if port is None or port.topic != topic:
             wanted.append((ref, topic))
             now.append((ref, port.topic if port is not None else ""))
-    return Rewire(tuple(wanted), text, tuple(now))
+
+    def steps(present: Present) -> Sequence[ReversibleStep]:
+        client = present.client
+        do, undo = (partial(client.connect, _by_nodelet(each)) for each in (wanted, now))
+        return [ReversibleStep(text, "", do, undo, partial(_check, client, wanted))]
+
+    return Rewire(text, steps, lambda client: _check(client, now), tuple(wanted), tuple(now))
 
 
 def splice(snapshot: Snapshot, ref: PortRef, edge: Edge) -> Rewire:
@@ -239,7 +228,7 @@ def spawn_at(snapshot: Snapshot, ref: PortRef, label: str, port: Port, name: str
     wire = rewire(snapshot, ((ref, topic),), f"connect {ref} to {topic}")
     parts = [maker, wire] if wire.topics else [maker]
     parts = parts if start.direction == IN else parts[::-1]
-    return Steps(
+    return Change(
         f"create {name} at {ref}",
         lambda present: [step for part in parts for step in part.steps(present)],
     )

@@ -232,28 +232,27 @@ def protected(remote, name):
     return ("set_protection", name) in remote.client.calls
 
 
-class SlowChange(Change):
-    """Makes a nodelet, once it may."""
+def slow_change():
+    """A change that makes a nodelet, and the event when it may."""
+    may = threading.Event()
 
-    text = "slow"
-
-    def __init__(self):
-        self.may = threading.Event()
-
-    def steps(self, present):
-        wait_for(self.may)
+    def steps(present):
+        wait_for(may)
         return spawn(SpawnRequest("tracker", "/second")).steps(present)
+
+    return Change("slow", steps), may
 
 
 def test_a_link_that_is_renewed_during_a_change_leaves_all_that_can_be_undone(
     qtbot, window, remote, monkeypatch
 ):
-    monitor, slow, graph, is_made = window.monitor, SlowChange(), remote.graph, threading.Event()
+    monitor, graph, is_made = window.monitor, remote.graph, threading.Event()
+    slow, may = slow_change()
     create(qtbot, window, "/first")
     monkeypatch.setattr(remote, "graph", lambda: wait_for(is_made) or graph())
     monitor.do(slow)
     monitor._follow_link(True)
-    slow.may.set()
+    may.set()
     until(qtbot, lambda: not monitor.is_changing)
     is_made.set()
     until(qtbot, lambda: monitor.snapshot.nodelet("/second") is not None)
@@ -286,7 +285,7 @@ def test_no_change_begins_before_it_is_known_whose_graph_it_changes(qtbot, windo
 
 def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
     """Each begins from the graph that the one before it leaves, and is undone alone."""
-    monitor, slow = window.monitor, SlowChange()
+    monitor, (slow, may) = window.monitor, slow_change()
     monitor.do(slow)
     monitor.do(protect("/second", True))
     assert "protect /second: waiting for the change before it" in window.line.text
@@ -295,7 +294,7 @@ def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
     monitor.redo()  # there is nothing left: that holds up nothing
     monitor.do(spawn(SpawnRequest("tracker", "/third")))
     assert monitor.is_changing and not protected(remote, "/second")
-    slow.may.set()
+    may.set()
     until(qtbot, lambda: not monitor.is_changing)
     assert remote.graph().nodelet("/second").is_protected and remote.graph().nodelet("/third")
     assert [each.change.text for each in monitor.history._done] == [
@@ -306,13 +305,13 @@ def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
 
 
 def test_changes_that_wait_for_a_manager_that_falls_silent_are_refused(qtbot, window, remote):
-    monitor, slow, refused = window.monitor, SlowChange(), []
+    monitor, (slow, may), refused = window.monitor, slow_change(), []
     monitor.failed.connect(refused.append)
     monitor.do(slow)
     monitor.do(protect("/field/tracker", True))
     remote.client.is_up = False
     until(qtbot, lambda: not monitor.is_linked)
-    slow.may.set()
+    may.set()
     until(qtbot, lambda: not monitor.is_changing)
     assert any(each.startswith("protect /field/tracker: ") for each in refused)
     remote.client.is_up = True
