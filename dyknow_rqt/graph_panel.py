@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Mapping, Sequence
 
 from python_qt_binding.QtCore import QEvent, QPoint, Qt, QTimer
@@ -48,9 +49,8 @@ class GraphPanel(QWidget):
         super().__init__()
         self._monitor, self._selection, self._line = monitor, selection, line
         self._is_following = False
-        self._figure = Figure()
-        self._has_fitted = self._wants_tidy = self._wants_move = False
-        self._shape = 1.0
+        self._order = DrawingOrder()
+        self._has_fitted = self._wants_tidy = False
         self._plan: Sequence[WayPart] = ()
         self._calls = BackgroundCalls(1)
         self._turning = QTimer(self, singleShot=True, interval=_TURNING, timeout=self._turn)
@@ -81,7 +81,7 @@ class GraphPanel(QWidget):
     # Drawing
 
     def redraw(self) -> None:
-        """Draw the changes; a new layout is made only if vertices or edges came or went."""
+        """Draw the changes; a new layout is made only if vertices or edges came, went or moved."""
         past, room = self.timeline.moment, self.view.viewport().size()
         snapshot, plan = self._monitor.snapshot, self._plan
         if past is not None:
@@ -100,14 +100,13 @@ class GraphPanel(QWidget):
         self.view.scene().set_snapshot(snapshot)
         if self.timeline.moment is None:
             self.edits.places.follow(each.name for each in snapshot.nodelets)
-        if figure != self._figure or self._wants_tidy or self._wants_move:
-            self._figure = figure
-            font, room = self.view.font(), self.view.viewport().size()
-            sizes, gap, places = sizes_of(figure, font), gap_of(font), self.edits.places.present
-            self._shape = room.width() / max(room.height(), 1)
-            order = DrawingOrder(figure, sizes, gap, self._shape, self._wants_tidy, dict(places))
-            self.layouter.lay_out(order)
-            self._wants_tidy = self._wants_move = False
+        font, places, shape = self.view.font(), dict(self.edits.places.present), self._shape
+        sizes, gap = sizes_of(figure, font), gap_of(font)
+        order = DrawingOrder(figure, sizes, gap, shape, places=places)
+        if order != self._order or self._wants_tidy:
+            self._order = order
+            self.layouter.lay_out(replace(order, anew=self._wants_tidy))
+            self._wants_tidy = False
         self._show_sign()
 
     def show_plan(self, parts: Sequence[WayPart]) -> None:
@@ -153,11 +152,6 @@ class GraphPanel(QWidget):
         self.timeline.setVisible(on)
         (self.timeline.track if on else self.view).setFocus()
 
-    def _keep_places(self) -> None:
-        """Lay out again, with vertices where the user has put them."""
-        self._wants_move = True
-        self.redraw()
-
     def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
         return {**self.bar.state(), "places": self.edits.places.to_text()}
@@ -170,11 +164,16 @@ class GraphPanel(QWidget):
     def _turn(self) -> None:
         """Fill a view that has another shape now, with streams along its longer side."""
         room = self.view.viewport().size()
-        change = room.width() / max(room.height(), 1) / self._shape
-        is_turned = self._figure.is_downwards != self.bar.is_downwards(room)
+        change = self._shape / self._order.shape
+        is_turned = self._order.figure.is_downwards != self.bar.is_downwards(room)
         is_left = self.view.is_chosen or bool(self.edits.places.present)
         if is_turned or not (is_left or 1 / _RESHAPED < change < _RESHAPED):
             self.tidy()
+
+    @property
+    def _shape(self) -> float:
+        """That of the view: width by height."""
+        return float(self.view.width() / max(self.view.height(), 1))
 
     def find(self) -> None:
         self.bar.search.setFocus()
@@ -198,7 +197,7 @@ class GraphPanel(QWidget):
             text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
             if not monitor.library:
                 text = "No nodelets and no transformations yet: import some in 'Library'"
-        elif not self._figure.vertices:
+        elif not self._order.figure.vertices:
             text = "The filters hide everything"
         is_over_drawing = bool(monitor.snapshot.nodelets)
         self.sign.show_text(text, is_warning=is_over_drawing and not status.is_sound)
@@ -216,7 +215,7 @@ class GraphPanel(QWidget):
         elif item is None:
             spot = self.view.mapToScene(self.view.viewport().mapFromGlobal(place))
             box = self.view.scene().box_at(spot)
-            outer = [group for group in self._figure.groups() if len(group) == 1]
+            outer = [group for group in self._order.figure.groups() if len(group) == 1]
             self._popup(menu_of_ground(edits, self.bar, box, outer), place)
         else:
             if not item.isSelected():
@@ -300,7 +299,7 @@ class GraphPanel(QWidget):
         self.layouter.ready.connect(view.scene().show_drawing)
         view.scene().shown.connect(self._follow_drawing)
         self.layouter.failed.connect(self._line.report)
-        self.edits.moved.connect(self._keep_places)
+        self.edits.moved.connect(self.redraw)
         view.box_pressed.connect(bar.toggle_box)
         for follow in (self._show_sign, self.card.place, self._turning.start):
             view.resized.connect(follow)

@@ -167,13 +167,14 @@ class DrawingOrder:
     """A figure that is to be drawn in a view of a shape, width by height.
 
     ``gap`` has the pixels between ranks, for the words on an arrow; ``anew`` ignores the last
-    drawing, but not the places where the user has put vertices.
+    drawing, but not the places where the user has put vertices. Orders that differ in shape alone
+    are equal: the drawing fits both.
     """
 
-    figure: Figure
-    sizes: Mapping[str, Size]
+    figure: Figure = field(default_factory=Figure)
+    sizes: Mapping[str, Size] = field(default_factory=dict)
     gap: float = 52.0
-    shape: float = 1.5
+    shape: float = field(default=1.5, compare=False)
     anew: bool = False
     places: Mapping[str, Point] = field(default_factory=dict)
 
