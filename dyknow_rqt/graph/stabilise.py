@@ -26,9 +26,8 @@ MOST_PLACED = 12
 #: Pixels; a shorter distance does not count as a move.
 STILL = 8.0
 _GAP = 14.0
-#: Steps up and down, and pixels to the sides, that are tried for a new vertex.
+#: Steps up and down that are tried for a new vertex.
 _TRIES = 10
-_SIDESTEPS = (0.0, -30.0, 30.0, -60.0)
 
 
 def stabilise(
@@ -112,9 +111,8 @@ def _place(
         foreign += others
         own, nearest = boxes.get(home), None
         step = sizes[vertex.key].height / 2 + _GAP
-        ways = [Point(x, y * step) for x in _SIDESTEPS for y in range(-_TRIES, _TRIES + 1)]
-        for way in sorted(ways, key=lambda way: (abs(way.x) + abs(way.y), way)):
-            place = wish.plus(way)
+        for number in sorted(range(-_TRIES, _TRIES + 1), key=abs):
+            place = wish.plus(Point(0.0, number * step))
             area = around(place, sizes[vertex.key]).grown(_GAP / 2)
             if any(area.meets(each) for each in (*taken.values(), *others)):
                 continue
