@@ -28,6 +28,8 @@ _LOG = logging.getLogger("rosout.dyknow_rqt")
 BUDGET = 60
 #: Milliseconds until a drawing is shown whose parts are not all laid out.
 _WAITING = 1000
+#: Milliseconds within which changes are one: they follow the drawing before the first of them.
+_TOGETHER = 3000
 #: The exit code of the shell where a program is not there.
 _NOT_FOUND = 127
 _TITLE = "digraph dyknow {"
@@ -69,10 +71,12 @@ class Layouter(QObject):
         #: Parts that it lays out now, with their texts.
         self._running: list[tuple[Piece, str]] = []
         self._is_unwanted = False
-        self._drawing = Drawing()
+        #: The last drawing, and that before the changes that are one.
+        self._drawing = self._before = Drawing()
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
         self._waiting = QTimer(self, singleShot=True, interval=_WAITING, timeout=self._arrange)
+        self._together = QTimer(self, singleShot=True, interval=_TOGETHER, timeout=self._go_by)
 
     def lay_out(self, order: DrawingOrder) -> None:
         """Lay a figure out, then emit ``ready``, more than once if graphviz takes long."""
@@ -160,7 +164,7 @@ class Layouter(QObject):
         plan = self._plan
         if plan is None or self._is_busy:
             return
-        is_last, before = not self._missing, None if plan.order.anew else self._drawing
+        is_last, before = not self._missing, None if plan.order.anew else self._before
         made = {part: self._made.get(text) for part, text in plan.texts.items()}
         layouts = {part: layout for part, layout in made.items() if layout is not None}
         if is_last:
@@ -173,12 +177,20 @@ class Layouter(QObject):
             self._is_busy = False
             if is_last:
                 self._drawing = drawing
+                if drawing.is_anew or not self._before.figure.vertices:
+                    self._go_by()
+                elif not self._together.isActive():
+                    self._together.start()
             self.ready.emit(drawing)
             self._go_on()
 
         self._calls.run(
             lambda: arranged(plan.order, plan.parts, layouts, before), take, self._give_up
         )
+
+    def _go_by(self) -> None:
+        """Let what comes now follow the last drawing."""
+        self._before = self._drawing
 
     def _give_up(self, error: Exception) -> None:
         """Go on after an error of the program."""

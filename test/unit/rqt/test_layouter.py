@@ -9,9 +9,11 @@ import stat
 
 import pytest
 from unit.rqt.hands import until
-from unit.rqt.test_graph import chains, check_boxes, figure_of_all, sizes_of
+from unit.rqt.test_graph import chains, check_boxes, figure_of_all, nodelet, sizes_of
 
+from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.layout import DrawingOrder
+from dyknow_rqt.graph.stabilise import MOST_MOVED, backwards, moved
 from dyknow_rqt.layouter import Layouter
 
 
@@ -116,3 +118,34 @@ def test_a_part_beyond_its_budget_is_spread(qtbot, script):
     until(qtbot, lambda: not watched.layouter._running and watched.drawings)
     check_boxes(watched.drawings[-1])
     watched.layouter.close()
+
+
+PARTS = {
+    "c": nodelet("/camera", "info>=/info", "image>=/image"),
+    "s": nodelet("/subsampler", ">yuv=/image", "half>=/half", "quarter>=/quarter"),
+    "b": nodelet("/body", "pose>=/pose", "joints>=/joints"),
+    "d": nodelet("/detector", ">a=/info", ">b=/joints", ">c=/half", ">d=/quarter", "ball>=/ball"),
+    "l": nodelet("/localization", ">ball=/ball", ">pose=/pose", "position>=/position"),
+}
+
+
+@pytest.mark.parametrize("are_together", [True, False])
+@pytest.mark.parametrize("order", ["csbdl", "bcsdl", "ldscb", "dlbsc"])
+def test_what_comes_together_leads_from_left_to_right_and_else_little_moves(
+    qtbot, order, are_together
+):
+    watched, present, before = Watched(), [], Drawing()
+    layouter = watched.layouter
+    layouter._together.setInterval(1_000_000)  # however long it takes
+    for each in order:
+        present.append(PARTS[each])
+        watched.lay_out(present)
+        until(qtbot, lambda: layouter.is_idle)
+        drawing = watched.drawings[-1]
+        if not are_together:
+            layouter._together.timeout.emit()
+            assert len(moved(before.layout, drawing.layout)) <= MOST_MOVED
+        before = drawing
+    if are_together:
+        assert backwards(drawing.layout.centres, drawing.figure, drawing.sizes) == 0
+    layouter.close()
