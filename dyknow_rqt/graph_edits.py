@@ -164,15 +164,6 @@ class GraphEdits(QObject):
             question = "\n".join([f"Destroy {len(nodelets)} nodelets?", *nodelets])
         self._line.ask(question, "Destroy", lambda: self._monitor.do_in_turn(steps))
 
-    def protect(self, nodelets: Sequence[str], on: bool) -> None:
-        self._monitor.do_in_turn([changes.protect(name, on) for name in nodelets])
-
-    def restart(self, nodelets: Sequence[str]) -> None:
-        self._monitor.do(changes.restart(tuple(nodelets)))
-
-    def isolate(self, nodelets: Sequence[str], on: bool) -> None:
-        self._monitor.do(changes.isolate(tuple(nodelets), on))
-
     def show_parameters(self, name: str) -> None:
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:

@@ -14,15 +14,19 @@ from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QMenu, QWidget
 
 from dyknow.model.graph import PortRef
+from dyknow_rqt.graph import changes
 from dyknow_rqt.graph.figure import Edge, Group, VertexKind, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, not_ours, protection
 from dyknow_rqt.graph_bar import GraphBar
 from dyknow_rqt.graph_edits import GraphEdits
+from dyknow_rqt.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 
 
-def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent: QWidget) -> QMenu:
-    menu = QMenu(parent)
+def menu_of(
+    selection: Selection, monitor: GraphMonitor, edits: GraphEdits, parent: QWidget
+) -> QMenu:
+    menu, snapshot = QMenu(parent), monitor.snapshot
     menu.setToolTipsVisible(True)
     nodelets, edges = selection.nodelets, selection.edges
     topics, nodes = selection.names(VertexKind.TOPIC), selection.names(VertexKind.NODE)
@@ -50,14 +54,16 @@ def menu_of(selection: Selection, snapshot: Snapshot, edits: GraphEdits, parent:
         what = "" if len(nodelets) == 1 else f" {_count(nodelets, 'nodelet')}"
         names, on = protection(nodelets, snapshot)
         text = f"&Protect{what}" if on else f"&Release{what} from protection"
-        _add(menu, text, partial(edits.protect, names, on))
+        protect = [changes.protect(name, on) for name in names]
+        _add(menu, text, partial(monitor.do_in_turn, protect))
         foreign, kept = not_ours(nodelets, snapshot), not_destroyed(nodelets, snapshot)
-        _add(menu, f"Re&start{what}", partial(edits.restart, nodelets), foreign)
+        restart = partial(monitor.do, changes.restart(nodelets))
+        _add(menu, f"Re&start{what}", restart, foreign)
         found = [snapshot.nodelet(name) for name in nodelets]
         on = not all(each is not None and each.isolated for each in found)
         text = "its" if len(nodelets) == 1 else "their"
         text = f"&Isolate{what} in {text} own process" if on else f"Share a process{what}"
-        _add(menu, text, partial(edits.isolate, nodelets, on), kept)
+        _add(menu, text, partial(monitor.do, changes.isolate(nodelets, on)), kept)
         _add(menu, f"D&estroy{what} …", partial(edits.ask_to_destroy, nodelets), kept)
     named = [*nodelets, *topics, *nodes, *(edge.topic for edge in edges)]
     _add_copy(menu, dict.fromkeys(named))

@@ -223,7 +223,7 @@ class GraphPanel(QWidget):
             self.show_menu(place)
 
     def show_menu(self, place: QPoint) -> None:
-        menu = menu_of(self._selection, self._monitor.snapshot, self.edits, self)
+        menu = menu_of(self._selection, self._monitor, self.edits, self)
         self._popup(menu, place)
 
     def _popup(self, menu: QMenu, place: QPoint) -> None:
@@ -308,7 +308,8 @@ class GraphPanel(QWidget):
         bar.options_changed.connect(self.redraw)
         bar.structure_changed.connect(self.tidy)
         bar.settings["highlight"].toggled.connect(self._set_highlights)
-        bar.refresh.triggered.connect(self._refresh)
+        for read in (monitor.read_library, monitor.look):
+            bar.refresh.triggered.connect(read)
         bar.undo.triggered.connect(monitor.undo)
         bar.redo.triggered.connect(monitor.redo)
         bar.fit.triggered.connect(view.fit)
@@ -328,7 +329,3 @@ class GraphPanel(QWidget):
         self._monitor.ask(
             lambda client: remote.transports(nodes), scene.set_transports, lambda why: None
         )
-
-    def _refresh(self) -> None:
-        self._monitor.read_library()
-        self._monitor.look()

@@ -12,7 +12,7 @@ from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
-from dyknow_rqt.graph.changes import add_transformations, remove_transformations
+from dyknow_rqt.graph.changes import add_transformations, protect, remove_transformations
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
 from dyknow_rqt.graph_edits import GraphEdits
 from dyknow_rqt.monitor import GraphMonitor
@@ -54,7 +54,8 @@ class ActivePanel(Panel):
             self._edits.ask_to_destroy(self._selection.nodelets)
 
     def _protect_chosen(self) -> None:
-        self._edits.protect(*protection(self._selection.nodelets, self._monitor.snapshot))
+        names, on = protection(self._selection.nodelets, self._monitor.snapshot)
+        self._monitor.do_in_turn([protect(name, on) for name in names])
 
     def _want_menu(self, place: QPoint) -> None:
         self.menu_wanted.emit(self.table.viewport().mapToGlobal(place))
