@@ -148,6 +148,7 @@ def _many(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
 
 def _found(widget: DyKnowWidget, remote: SimulatedRemote) -> None:
     _many(widget, remote)
+    wait(lambda: _is_drawn(widget), 120.0, "all have their places")
     widget.active.table.filter.setText("part17")
     widget.active.table.choose(["/part17/nodelet3"])
     QTest.qWait(1500)
