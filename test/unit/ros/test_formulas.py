@@ -267,7 +267,7 @@ def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
         (b"\x89PNG\r\n", "is damaged, or is no bag (UnicodeDecodeError"),
         (b"", "cannot be read"),
         (b"text\n", "cannot be read"),
-        (None, "cannot be read: [Errno 2] No such file"),
+        (None, "cannot be read: No such file"),
     ],
 )
 def test_a_file_that_is_no_bag_is_refused(tmp_path, content, said):
