@@ -73,10 +73,10 @@ def unknown_labels(manager: Manager, exclude: Sequence[str]) -> tuple[str, ...]:
 
 def unknown_names(manager: Manager, request: StreamRequest) -> tuple[str, ...]:
     """Say which labels that a client excludes, and which names of its wishes, mean nothing."""
-    found = unknown_labels(manager, request.exclude) if request.exclude else ()
+    found = unknown_labels(manager, request.exclude)
     wishes = (*request.prefer, *request.avoid)
-    transformations = manager.library.all()
-    if not wishes or len(transformations) > _SEARCHED:
+    transformations = manager.library.all() if wishes else ()
+    if not transformations or len(transformations) > _SEARCHED:
         return found
     ontology = manager.library.ontology
     named = {each.label for each in transformations}
