@@ -19,7 +19,9 @@ from python_qt_binding.QtCore import (
 from python_qt_binding.QtGui import QGuiApplication, QKeySequence
 from python_qt_binding.QtWidgets import (
     QAbstractItemView,
+    QAbstractSpinBox,
     QAction,
+    QComboBox,
     QHeaderView,
     QScrollArea,
     QTableView,
@@ -47,6 +49,19 @@ class Panel(QScrollArea):
         self.setWidget(self.page)
         for ground in (self.viewport(), self.page):
             ground.setAutoFillBackground(False)  # that of the tab is seen
+
+    def showEvent(self, event: Any) -> None:  # noqa: N802
+        super().showEvent(event)
+        for box in self.page.findChildren((QComboBox, QAbstractSpinBox)):
+            box.setFocusPolicy(Qt.StrongFocus)  # by the wheel it gets none
+            box.installEventFilter(self)
+
+    def eventFilter(self, watched: Any, event: QEvent) -> bool:  # noqa: N802
+        """Let the wheel scroll the page over a box that is not being edited."""
+        if event.type() == QEvent.Wheel and watched is not self.page and not watched.hasFocus():
+            self.wheelEvent(event)
+            return True
+        return bool(super().eventFilter(watched, event))
 
 
 #: The number of rows that determine the width of columns.

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from python_qt_binding.QtCore import QEvent, QPoint, QPointF, Qt, QTimer
-from python_qt_binding.QtGui import QMouseEvent
+from python_qt_binding.QtGui import QMouseEvent, QWheelEvent
 from python_qt_binding.QtTest import QTest
 from python_qt_binding.QtWidgets import (
     QAbstractButton,
@@ -108,6 +108,13 @@ def undo(qtbot, window):
     """Take the last change back with the button, once there is one to take back."""
     until(qtbot, window.graph.bar.undo.isEnabled)
     click(qtbot, window.graph.bar.undo)
+
+
+def turn_wheel(widget, place, angle):
+    """Turn the wheel over a place (a point of the widget), by eighths of a degree."""
+    where = QPointF(place), QPointF(widget.mapToGlobal(place))
+    how = Qt.NoButton, Qt.NoModifier, Qt.NoScrollPhase, False
+    QApplication.sendEvent(widget, QWheelEvent(*where, QPoint(), QPoint(0, angle), *how))
 
 
 def show(window, panel):

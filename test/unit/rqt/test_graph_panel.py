@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import pydot
 import pytest
-from python_qt_binding.QtCore import QPoint, QPointF, Qt, QTimer
-from python_qt_binding.QtGui import QImage, QWheelEvent
-from python_qt_binding.QtWidgets import QApplication, QFileDialog, QLineEdit
-from unit.rqt.hands import centre_of, drag, until, vertex_keys
+from python_qt_binding.QtCore import QPoint, Qt, QTimer
+from python_qt_binding.QtGui import QImage
+from python_qt_binding.QtWidgets import QFileDialog, QLineEdit
+from unit.rqt.hands import centre_of, drag, turn_wheel, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.snapshot import Snapshot
@@ -23,17 +23,7 @@ def test_the_wheel_zooms_where_the_pointer_is(qtbot, view):
     place = centre_of(view, "n_/nao1/localization")
     qtbot.mouseMove(view.viewport(), place)
     before, zoom = view.mapToScene(place), view.zoom
-    turn = QWheelEvent(
-        QPointF(place),
-        QPointF(view.viewport().mapToGlobal(place)),
-        QPoint(0, 0),
-        QPoint(0, 240),
-        Qt.NoButton,
-        Qt.NoModifier,
-        Qt.NoScrollPhase,
-        False,
-    )
-    QApplication.sendEvent(view.viewport(), turn)
+    turn_wheel(view.viewport(), place, 240)
     assert view.zoom > zoom * 1.3
     assert (view.mapFromScene(before) - place).manhattanLength() <= 2
 

@@ -22,6 +22,7 @@ from unit.rqt.hands import (
     is_ready,
     pauses,
     show,
+    turn_wheel,
     undo,
     until,
     vertex_keys,
@@ -197,6 +198,19 @@ def test_the_graph_has_most_of_the_room_and_the_control_panel_scrolls(qtbot, win
             show(window, tab)
             until(qtbot, lambda tab=tab: is_whole(tab))
         until(qtbot, lambda: window.streams.table.viewport().height() > 24)  # a row is seen
+
+
+def test_the_wheel_scrolls_a_page_over_a_box_that_is_not_edited(qtbot, window):
+    for _ in range(2):
+        window.graph.bar.panel.trigger()  # it is wanted in small windows too
+    window.resize(640, 480)
+    until(qtbot, lambda: show(window, window.streams).verticalScrollBar().maximum() > 0)
+    box, bar = window.streams.silence, window.streams.verticalScrollBar()
+    turn_wheel(box, box.rect().center(), -120)
+    assert bar.value() > 0 and box.value() == 0.0
+    box.setFocus()
+    turn_wheel(box, box.rect().center(), 120)
+    assert box.value() > 0.0
 
 
 @pytest.mark.long
