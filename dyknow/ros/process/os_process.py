@@ -22,7 +22,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Mapping, Sequence, TextIO
+from typing import Callable, Iterator, Mapping, Sequence, TextIO
 
 from dyknow.locks import turn_lock
 
@@ -183,13 +183,8 @@ def started_with(variable: str) -> list[tuple[ProcessId, str, list[str]]]:
     """
     found = []
     key = variable.encode() + b"="
-    for process in filter(None, map(ProcessId.of, _pids())):
-        try:
-            if os.getsid(process.pid) != process.pid:
-                continue  # it was forked by one
-            variables, command = (_words(process.pid, file) for file in ("environ", "cmdline"))
-        except OSError:
-            continue  # it has ended, or is another user's
+    # Another process of such a session was forked by one.
+    for process, variables, command in _of_this_user(lambda each: os.getsid(each.pid) == each.pid):
         values = (each[len(key) :] for each in variables if each.startswith(key))
         found += [(process, os.fsdecode(each), list(map(os.fsdecode, command))) for each in values]
     return sorted(found, key=lambda each: each[0].started)
@@ -204,13 +199,21 @@ def has_begun(command: re.Pattern[bytes], variable: str, seconds: float) -> bool
     earliest = time.clock_gettime(time.CLOCK_BOOTTIME) - seconds
     ticks = os.sysconf("SC_CLK_TCK")
     ours = os.fsencode(f"{variable}={os.environ.get(variable, '')}")
+    late = _of_this_user(lambda each: each.started / ticks > earliest)
+    return any(
+        ours in variables and command.search(b"\0".join(words)) for _, variables, words in late
+    )
+
+
+def _of_this_user(
+    is_wanted: Callable[[ProcessId], bool],
+) -> Iterator[tuple[ProcessId, list[bytes], list[bytes]]]:
+    """Yield those of the user's processes that are wanted, with environment and command line."""
     for process in filter(None, map(ProcessId.of, _pids())):
-        if process.started / ticks > earliest:
-            with contextlib.suppress(OSError):  # it has ended, or is another user's
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            if is_wanted(process):
                 variables, words = (_words(process.pid, file) for file in ("environ", "cmdline"))
-                if ours in variables and command.search(b"\0".join(words)):
-                    return True
-    return False
+                yield process, variables, words
 
 
 # /proc itself, not psutil: that knows the start of a process only as a time of day, which moves
