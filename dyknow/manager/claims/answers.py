@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Callable, Hashable, Sequence
+from typing import Callable, Hashable, Iterable, Sequence
 
 from dyknow.errors import (
     Denied,
@@ -39,7 +39,7 @@ from dyknow.model.streams import (
     StreamRequest,
     StreamStatus,
 )
-from dyknow.model.transformation import OUT
+from dyknow.model.transformation import OUT, Transformation
 from dyknow.similar import did_you_mean
 
 #: Transformations beyond which nothing is suggested: the search would take too long.
@@ -61,8 +61,7 @@ def unknown_labels(manager: Manager, exclude: Sequence[str]) -> tuple[str, ...]:
     """Say which of the labels that a client excludes belong to nothing."""
     if not exclude:
         return ()
-    known = {each.label for each in manager.library.all()}
-    known |= {record.label for record in manager.graph.all()}
+    known = _labels(manager, manager.library.all())
     unknown = [label for label in exclude if label not in known]
     among = known if len(known) < _SEARCHED else set()
     return tuple(
@@ -79,9 +78,8 @@ def unknown_names(manager: Manager, request: StreamRequest) -> tuple[str, ...]:
     if not transformations or len(transformations) > _SEARCHED:
         return found
     ontology = manager.library.ontology
-    named = {each.label for each in transformations}
-    named |= {record.label for record in manager.graph.all()}
-    said = {name for term in _supplied(manager) for name in (term.functor, *term.args)}
+    named = _labels(manager, transformations)
+    said = {name for term in _supplied(transformations) for name in (term.functor, *term.args)}
     concepts = {above for each in said for above in ontology.names_above(ontology.canonical(each))}
     unknown = [e for e in wishes if e not in named and ontology.canonical(e) not in concepts]
     known = named | said
@@ -91,11 +89,17 @@ def unknown_names(manager: Manager, request: StreamRequest) -> tuple[str, ...]:
     )
 
 
-def _supplied(manager: Manager) -> set[Term]:
+def _labels(manager: Manager, transformations: Iterable[Transformation]) -> set[str]:
+    """Labels of the library, and those of which it has no transformation any more."""
+    known = {each.label for each in transformations}
+    return known | {record.label for record in manager.graph.all()}
+
+
+def _supplied(transformations: Iterable[Transformation]) -> set[Term]:
     """The tags of all out-ports."""
     return {
         term
-        for each in manager.library.all()
+        for each in transformations
         for port in each.ports
         if port.direction == OUT
         for term in read_tags(port.tags)
@@ -103,16 +107,17 @@ def _supplied(manager: Manager) -> set[Term]:
 
 
 def _similar_tags(manager: Manager, answer: NoPlan) -> str:
-    if len(manager.library.all()) > _SEARCHED:
+    transformations = manager.library.all()
+    if len(transformations) > _SEARCHED:
         return ""
-    supplied = _supplied(manager)
+    supplied = _supplied(transformations)
     missing = {str(term): term for demand in answer.missing for term in demand.tags}
     advice = ""
     for tag in sorted(missing)[:_EXPLAINED]:
         known = {str(_as_asked(each, missing[tag])) for each in supplied}
-        functor = missing[tag].functor
-        others = [str(each) for each in supplied if each.functor == functor]
         if tag not in known:
+            functor = missing[tag].functor
+            others = [str(each) for each in supplied if each.functor == functor]
             near = did_you_mean(tag, known, at_most=2)
             advice += near or (f"; supplied: {listed(others)}" if others else "")
     return advice
