@@ -131,7 +131,7 @@ class Plan:
     def cost(self) -> int:
         """The sum over the steps and the charges."""
         steps = sum([step.cost + step.charge for step in self.steps])
-        return steps + sum(dict(self.charges).values())
+        return steps + sum([charge for _, charge in self.charges])
 
     @cached_property
     def sources(self) -> frozenset[Source]:
