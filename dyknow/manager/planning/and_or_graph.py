@@ -304,8 +304,9 @@ class Reach(AndOrGraph):
         """A cost for each node that can be made, which no plan for it is below."""
         return self.cheapest(self.costs, use_sum=False)[0]
 
+    @cached_property
     def forced(self) -> int:
-        """Return the cost of the instances that every plan has; 0 if names are to be bound."""
+        """The cost of the instances that every plan has; 0 if names are to be bound."""
         if not self.is_simple:
             return 0
         found = {}

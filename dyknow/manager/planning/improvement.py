@@ -102,7 +102,7 @@ def allowed(reach: Reach, draft: Draft) -> tuple[Draft, bool, bool]:
 
 def improve(reach: Reach, draft: Draft, budget: Budget) -> tuple[Draft, int]:
     """Return a draft of less cost, or the given one, and a cost that no plan is below."""
-    floor = min(max(reach.forced(), reach.floors.get(0, draft.cost)), draft.cost)
+    floor = min(max(reach.forced, reach.floors.get(0, draft.cost)), draft.cost)
     if draft.cost == floor or len(draft.order) > _MOST_INSTANCES:
         return draft, floor
     if not budget.spend(BOUNDED * reach.size):

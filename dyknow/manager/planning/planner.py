@@ -160,7 +160,7 @@ class Planner:
                 return NoPlan(demand, (), False, draft.latency / 1e6)
             if not is_found:
                 return NoPlan(demand, (), is_proven, is_cut_short=not is_proven)
-        if draft.cost <= reach.forced():
+        if draft.cost <= reach.forced:
             return _written(draft, draft.cost)
         improving = Budget(budget, self._clock, spent)
         draft, least_cost = improve(reach, draft, improving)
