@@ -23,7 +23,7 @@ from python_qt_binding.QtWidgets import QGraphicsItem, QGraphicsPathItem, QGraph
 from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef
 from dyknow.model.transformation import IN, OUT
-from dyknow_rqt.canvas.appearance import Colours, Tone
+from dyknow_rqt.canvas.appearance import LEAST_TEXT, ROOM, Colours, Tone, height_of
 from dyknow_rqt.graph.figure import Edge
 from dyknow_rqt.graph.geometry import Rectangle
 from dyknow_rqt.graph.measurements import PortVerdict
@@ -168,7 +168,11 @@ class PortItem(Item):
         self.setCursor(Qt.CrossCursor)
         self.setAcceptHoverEvents(True)
         self._hovered = False
-        self.setRect(self.shape().boundingRect().united(self._name_area()))
+        area = self.shape().boundingRect()
+        for is_downwards in (False, True):
+            for place in self._name_places(ROOM, is_downwards):
+                area = area.united(place)
+        self.setRect(area)
 
     @property
     def truth(self) -> Truth:
@@ -201,18 +205,28 @@ class PortItem(Item):
         else:
             painter.drawEllipse(QPointF(0, 0), radius, radius)
         if large:
-            painter.fillRect(self._name_area(), self.colours.paper)
+            least = LEAST_TEXT / (height_of(self._font) * painter.worldTransform().m11())
+            larger = max(1.0, min(least, ROOM))
+            scene = self.scene()
+            places = self._name_places(larger, scene.figure.is_downwards)
+            free = (each for each in places if scene.is_free(self.mapRectToScene(each)))
+            area = next(free, places[0])
+            painter.fillRect(area, self.colours.paper)
             painter.setFont(self._font)
-            side = Qt.AlignRight if self.direction == IN else Qt.AlignLeft
             painter.setPen(self.colours.text)
-            painter.drawText(self._name_area(), side | Qt.AlignBottom, self.ref.port)
+            write(painter, area, self.ref.port, larger)
 
-    def _name_area(self) -> QRectF:
-        """The area of its name: outside the nodelet, above the arrow."""
+    def _name_places(self, larger: float, is_downwards: bool) -> tuple[QRectF, QRectF]:
+        """Return the areas on both sides of its arrow where its name may stand."""
         metrics = QFontMetricsF(self._font)
-        width = metrics.horizontalAdvance(self.ref.port) + 2
-        left = -width - 8 if self.direction == IN else 8.0
-        return QRectF(left, -metrics.height() - 3, width, metrics.height())
+        width = (metrics.horizontalAdvance(self.ref.port) + 2) * larger
+        height = metrics.height() * larger
+        left, above = -width - 8, -height - 3
+        if is_downwards:
+            top = above if self.direction == IN else 3.0
+            return QRectF(8.0, top, width, height), QRectF(left, top, width, height)
+        side = left if self.direction == IN else 8.0
+        return QRectF(side, 3.0, width, height), QRectF(side, above, width, height)
 
     def hoverEnterEvent(self, event: Any) -> None:  # noqa: N802
         self.change(_hovered=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, Callable, Iterator, Mapping, Sequence, TypeVar
 
-from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, Signal
+from python_qt_binding.QtCore import QEvent, QObject, QPointF, QRectF, Qt, Signal
 from python_qt_binding.QtGui import QFont, QPainter, QPalette
 from python_qt_binding.QtWidgets import QGraphicsScene, QToolTip
 
@@ -326,6 +326,12 @@ class GraphScene(QGraphicsScene):
     def port_item(self, ref: PortRef) -> PortItem | None:
         vertex = self.vertices.get(f"{VertexKind.NODELET.value}_{ref.nodelet}")
         return vertex.ports.get(ref.port) if vertex is not None else None
+
+    def is_free(self, area: QRectF) -> bool:
+        """Return whether no arrow's label is in an area."""
+        near = self.items(area, Qt.IntersectsItemBoundingRect)
+        arrows = (item for item in near if isinstance(item, EdgeItem))
+        return not any(item.label_area.intersects(area) for item in arrows)
 
     def drawing_area(self) -> QRectF:
         if self._area is None:

@@ -121,6 +121,28 @@ def test_where_topics_are_drawn_each_rate_is_written_and_no_label_covers_anythin
             assert sum(is_written) == 17 if shown else sum(is_written) > 5
 
 
+@pytest.mark.parametrize("flow", [0, 2], ids=["to the right", "downwards"])
+def test_the_name_of_a_port_covers_no_rate_of_its_arrows(qtbot, window, flow):
+    scene, painter = window.graph.view.scene(), Mock()
+    window.graph.bar.choose("direction", flow)
+    until(qtbot, lambda: window.graph.drawn.is_downwards is bool(flow))
+    until(qtbot, lambda: sum(bool(item.label) for item in scene.edges.values()) > 15)
+    until(qtbot, lambda: is_settled(window) and is_labelled(scene))
+    checked = 0
+    for zoom in (0.6, 1.0):
+        painter.worldTransform.return_value.m11.return_value = zoom
+        for edge_, item in scene.edges.items():
+            ends = ((edge_.tail, edge_.tail_port), (edge_.head, edge_.head_port))
+            for port in [scene.vertices[key].ports[name] for key, name in ends if name]:
+                port.set_offered(True)
+                port.paint(painter, None)
+                (area, _) = painter.fillRect.call_args.args
+                assert port.rect().contains(area)
+                assert not port.mapRectToScene(area).intersects(item.label_area), port.ref
+                checked += item.label_area.isValid()
+    assert checked > 30
+
+
 def is_labelled(scene):
     is_placed = scene.labels.are_placed and not scene.is_drawing
     return is_placed and not scene.slices.is_wanted(scene._show_all_traffic)
