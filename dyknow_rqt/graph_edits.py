@@ -114,7 +114,7 @@ class GraphEdits(QObject):
             return
         menu = QMenu(self._window)
         menu.setAttribute(Qt.WA_DeleteOnClose)
-        menu.addSection("Create and connect")
+        menu.addAction("Create and connect").setEnabled(False)  # a section's title may be cut
         for label, port in found[:_OFFERED]:
             action = menu.addAction(f"{label}: {port.name}".replace("&", "&&"))
             action.setToolTip(port.datatype)

@@ -152,7 +152,7 @@ class KeyedTable(QTableView):
     def __init__(self, titles: Sequence[str], name: str) -> None:
         super().__init__()
         self._rows = _Rows(titles, self)
-        self._has_widths = False
+        self._widths: dict[int, int] = {}  # of columns, as they were set last
         self.setModel(self._rows)
         self.setSelectionBehavior(QAbstractItemView.SelectRows)
         self.setSelectionMode(QAbstractItemView.ExtendedSelection)
@@ -201,14 +201,20 @@ class KeyedTable(QTableView):
         current = self._name(self.currentIndex().row()) if self.currentIndex().isValid() else None
         with QSignalBlocker(self):
             self._rows.replace(rows)
-            if rows and not self._has_widths:
-                self._has_widths = True
-                for column, widest in enumerate(_WIDEST):
-                    contents = min(widest, self.sizeHintForColumn(column) + 12)
-                    title = self.horizontalHeader().sectionSizeHint(column)
-                    self.setColumnWidth(column, max(contents, title))
+            if rows:
+                self._widen()
             self.choose(chosen, current)
         self.verticalScrollBar().setValue(top)
+
+    def _widen(self) -> None:
+        """Make room for the first columns, except those that a hand has made wider or narrower."""
+        for column, widest in enumerate(_WIDEST):
+            before = self._widths.get(column)
+            if before in (None, self.columnWidth(column)):
+                contents = min(widest, self.sizeHintForColumn(column) + 12)
+                least = before or self.horizontalHeader().sectionSizeHint(column)
+                self._widths[column] = max(contents, least)
+                self.setColumnWidth(column, self._widths[column])
 
     def chosen(self) -> list[str]:
         rows = sorted(index.row() for index in self.selectionModel().selectedRows())

@@ -55,6 +55,20 @@ def test_a_table_tells_of_picks_after_rows_that_it_could_not_show(qtbot, monkeyp
     assert picked == [["10"]]
 
 
+def test_a_column_grows_with_its_names_unless_a_hand_has_set_its_width(qtbot):
+    table = KeyedTable(("Name", "Type"), "Things")
+    qtbot.addWidget(table)
+    table.show_rows([(("/one", "relay"), "")])
+    narrow = table.columnWidth(0)
+    table.show_rows([(("/subsampler", "relay"), "")])
+    assert table.columnWidth(0) > max(narrow, table.sizeHintForColumn(0))
+    table.show_rows([(("/one", "relay"), "")])
+    assert table.columnWidth(0) > narrow, "nothing jumps back"
+    table.setColumnWidth(0, 40)
+    table.show_rows([(("/subsampler_2", "subsamp"), "")])
+    assert table.columnWidth(0) == 40 and table.columnWidth(1) > table.sizeHintForColumn(1)
+
+
 def test_library_shows_imports_exports_and_deletes(qtbot, window, remote, tmp_path):
     panel = show(window, window.library)
     panel.table.choose(["tracker"])
