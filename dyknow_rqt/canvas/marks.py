@@ -110,10 +110,12 @@ class Marks(QObject):
                 for name in (before, after)
             ]
             if ends[0] is not None and ends[1] is not None:
-                self._link(ends[0].pos(), ends[1].pos())
+                self._link(ends[0], ends[1])
         scene.mark()
 
-    def _link(self, start: QPointF, end: QPointF) -> None:
+    def _link(self, before: VertexItem, after: VertexItem) -> None:
+        """Write "mended" over a line between the two, or beside the second where both are."""
+        start, end = before.pos(), after.pos()
         colour, path = self._scene.colours.true, QPainterPath(start)
         middle = (start + end) / 2 - QPointF(0, 40)
         path.quadTo(middle, end)
@@ -122,6 +124,9 @@ class Marks(QObject):
         text = QGraphicsSimpleTextItem("mended")
         text.setBrush(colour)
         text.setPos(path.pointAtPercent(0.5) - QPointF(text.boundingRect().width() / 2, 18))
+        if before.collidesWithItem(after):
+            line.hide()
+            text.setPos(after.sceneBoundingRect().topRight())
         for item in (line, text):
             item.setZValue(15)
             item.setEnabled(False)

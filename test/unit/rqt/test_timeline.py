@@ -145,6 +145,11 @@ def test_what_replaces_another_is_linked_with_it(qtbot, window, remote, marks):
     ends = line.path().pointAtPercent(0.0), line.path().pointAtPercent(1.0)
     assert ends[0] == marks.ghosts["/nao1/recorder"].pos() and text.text() == "mended"
     assert ends[1] == window.graph.view.scene().vertices["n_/nao1/resize"].pos()
+    heir = window.graph.view.scene().vertices["n_/nao1/resize"]
+    marks.ghosts["/nao1/recorder"].setPos(heir.pos())
+    marks.apply()
+    line, text = marks.links
+    assert not line.isVisible() and not text.sceneBoundingRect().intersects(heir.inked[0])
     remote.client.spawn("tracker", "/nao1/recorder", {})
     until(qtbot, lambda: not marks.ghosts and "n_/nao1/recorder" in vertex_keys(window))
     marks.clear()
