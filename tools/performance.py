@@ -118,14 +118,12 @@ def as_it_is(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return table([name.replace("_", " ") for name in header], rows)
 
 
-def by_hops(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Mean time in ms: a line for each kind, a column for each number of hops."""
-    of = [dict(zip(header, row)) for row in rows]
-    hops = sorted({int(row["hops"]) for row in of})
-    means = {(row["kind"], int(row["hops"])): float(row["mean_us"]) / 1000 for row in of}
-    kinds = dict.fromkeys(row["kind"] for row in of)
-    lines = [[f"`{kind}`", *(f"{means[kind, each]:.3f}" for each in hops)] for kind in kinds]
-    return table(["mean (ms), hops:", *map(str, hops)], lines)
+def crossed(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The third column in ms, as a line for each value of the first, over those of the second."""
+    times = {(row[0], row[1]): f"{float(row[2]) / 1000:.3f}" for row in rows}
+    names, columns = (list(dict.fromkeys(row[index] for row in rows)) for index in (0, 1))
+    lines = [[f"`{name}`", *(times[name, each] for each in columns)] for name in names]
+    return table([header[2].replace("_us", " (ms)"), *columns], lines)
 
 
 def in_a_sentence(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -139,8 +137,9 @@ def in_a_sentence(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 SHAPES: dict[str, Callable[[Sequence[str], Sequence[Sequence[str]]], str]] = {
-    "figure4": by_hops,
+    "figure4": crossed,
     "machine": in_a_sentence,
+    "shared": crossed,
 }
 
 if __name__ == "__main__":

@@ -37,3 +37,15 @@ def test_a_table_has_the_columns_that_its_mark_names(tmp_path, monkeypatch):
         "| --- | --- |",
         "| 1.5 | time |",
     ]
+
+
+def test_a_table_is_crossed_where_a_file_has_a_line_for_each_pair(tmp_path, monkeypatch):
+    monkeypatch.setattr(performance, "RESULTS", tmp_path)
+    (tmp_path / "chain").mkdir()
+    (tmp_path / "chain" / "figure4.csv").write_text("kind,hops,mean_us\na,1,500\na,2,1500\n")
+    text = "<!-- begin chain/figure4 kind hops mean_us -->\nold\n<!-- end -->"
+    assert performance.MARKED.sub(performance.filled, text).splitlines()[2:-2] == [
+        "| mean (ms) | 1 | 2 |",
+        "| --- | --- | --- |",
+        "| `a` | 0.500 | 1.500 |",
+    ]
