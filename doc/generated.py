@@ -3,8 +3,9 @@
 
 """Directives for the parts of pages that are generated.
 
-``command-help`` takes the help of a command from its parser, ``node-help`` that of a node, and
-``interface-files`` shows the commented message or service files of a folder.
+``command-help`` takes the help of a command from its parser, which the content follows,
+``node-help`` that of a node, and ``interface-files`` shows the commented message or service
+files of a folder.
 """
 
 import argparse
@@ -17,10 +18,23 @@ from dyknow.cli import node_help
 from dyknow.cli.main import build_parser
 
 
-class CommandHelp(Directive):
-    """Usage, description and arguments of the command that it names."""
+class Section(Directive):
+    """A directive that makes sections, which the pages may refer to."""
 
     required_arguments = 1
+
+    def section(self, title, *children):
+        """Return a section."""
+        section = nodes.section("", nodes.title(text=title), *children)
+        section["names"].append(nodes.fully_normalize_name(title))
+        self.state.document.note_implicit_target(section, section)
+        return section
+
+
+class CommandHelp(Section):
+    """A section with usage, description and arguments of the command that it names, and more."""
+
+    has_content = True
 
     def run(self):
         """Return the nodes."""
@@ -43,7 +57,9 @@ class CommandHelp(Directive):
                 nodes.description("", nodes.paragraph(text=formatter._expand_help(action))),
             )
         found = [nodes.literal_block(usage, usage), nodes.paragraph(text=parser.description)]
-        return [*found, listed] if own else found
+        section = self.section(self.arguments[0], *found, *([listed] if own else []))
+        self.state.nested_parse(self.content, self.content_offset, section)
+        return [section]
 
     def _usage(self, action):
         text = argparse.HelpFormatter("")._format_args(action, action.metavar or action.dest)
@@ -64,10 +80,8 @@ class NodeHelp(Directive):
         return [nodes.literal_block(text, text, language="text")]
 
 
-class InterfaceFiles(Directive):
+class InterfaceFiles(Section):
     """A section for each file of a folder, which is given relative to the page."""
-
-    required_arguments = 1
 
     def run(self):
         """Return the nodes."""
@@ -77,11 +91,7 @@ class InterfaceFiles(Directive):
     def _section(self, path):
         self.state.document.settings.record_dependencies.add(str(path))
         text = path.read_text(encoding="utf-8")
-        block = nodes.literal_block(text, text, language="text")
-        section = nodes.section("", nodes.title(text=path.stem), block)
-        section["names"].append(nodes.fully_normalize_name(path.stem))
-        self.state.document.note_implicit_target(section, section)
-        return section
+        return self.section(path.stem, nodes.literal_block(text, text, language="text"))
 
 
 def setup(app):
