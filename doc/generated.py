@@ -4,11 +4,12 @@
 """Directives for the parts of pages that are generated.
 
 ``command-help`` takes the help of a command from its parser, which the content follows,
-``node-help`` that of a node, and ``interface-files`` shows the commented message or service
-files of a folder.
+``node-help`` that of a node, ``pairs`` shows a constant, and ``interface-files`` the commented
+message or service files of a folder.
 """
 
 import argparse
+import ast
 from pathlib import Path
 
 from docutils import nodes
@@ -16,6 +17,31 @@ from docutils.parsers.rst import Directive
 
 from dyknow.cli import node_help
 from dyknow.cli.main import build_parser
+
+
+class Pairs(Directive):
+    """The pairs of a constant, read from the source file, which is not imported."""
+
+    required_arguments = 2
+
+    def run(self):
+        """Return the nodes."""
+        file, name = self.arguments
+        path = Path(self.state.document.current_source).parent / file
+        self.state.document.settings.record_dependencies.add(str(path))
+        lines = ast.parse(path.read_text(encoding="utf-8")).body
+        (found,) = (
+            each.value
+            for each in lines
+            if isinstance(each, ast.Assign) and each.targets[0].id == name
+        )
+        fields = [
+            nodes.field(
+                "", nodes.field_name(text=key), nodes.field_body("", nodes.paragraph(text=value))
+            )
+            for key, value in ast.literal_eval(found)
+        ]
+        return [nodes.field_list("", *fields)]
 
 
 class Section(Directive):
@@ -99,4 +125,5 @@ def setup(app):
     app.add_directive("command-help", CommandHelp)
     app.add_directive("node-help", NodeHelp)
     app.add_directive("interface-files", InterfaceFiles)
+    app.add_directive("pairs", Pairs)
     return {"parallel_read_safe": True}

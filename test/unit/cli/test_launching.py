@@ -22,7 +22,7 @@ from roslaunch.parent import ROSLaunchParent
 from roslaunch.xmlloader import XmlLoader
 from unit.cli.fake_client import cases
 
-from dyknow.cli.launching import LEFT_ALONE, How, LaunchPlanner, NodeFilter, Treatment
+from dyknow.cli.launching import How, LaunchPlanner, NodeFilter, Treatment
 from dyknow.cli.main import main, parse
 from dyknow.cli.rewirable import LIBRARY, NO_LIBRARY
 from dyknow.cli.shell import INTERRUPTED
@@ -174,11 +174,6 @@ def sent(prefix):
     config = roslaunch.config.ROSLaunchConfig()
     XmlLoader().load_string(text, config, verbose=False)
     return str(config.nodes[0].launch_prefix)
-
-
-def test_the_page_names_all_that_are_left_alone():
-    page = (Path(__file__).resolve().parents[3] / "doc" / "launch.rst").read_text()
-    assert [pattern for pattern, _ in LEFT_ALONE if f"``{pattern}``" not in page] == []
 
 
 def test_patterns_choose(planner):
