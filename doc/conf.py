@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.napoleon",
 ]
 exclude_patterns = ["_build"]
+smartquotes_action = "q"  # in the help of a command -- is not a dash
 # The types of signatures are not all described here; Ubuntu 20.04 cannot leave them out.
 nitpicky = sphinx.version_info >= (4, 1)
 nitpick_ignore_regex = [("py:.*", ".*")]
