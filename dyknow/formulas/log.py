@@ -109,12 +109,15 @@ class Log:
     def why(self, state: int, value: int) -> str:
         """Write the values that decided the truth of the formula in a state.
 
-        If they take too long to find, all values in this state are written.
+        If they take too long to find, or are forgotten, all values in this state are written.
         """
         self._patience = iter(range(_PATIENCE))
         try:
             found = list(self._reasons(self._formula, state, value))
+            is_forgotten = value == UNKNOWN and not found
         except _TooLong:
+            is_forgotten = True
+        if is_forgotten:
             found = list(self._values(state))
         return ", ".join(dict.fromkeys(found))
 
@@ -128,7 +131,7 @@ class Log:
 
     def _reasons(self, formula: tree.Node, state: int, value: int) -> Iterator[str]:
         """Yield what made a formula have a truth in a state."""
-        if state >= self._seen:
+        if state >= self._seen and not isinstance(formula, (tree.Unary, tree.Binary)):
             return
         if isinstance(formula, tree.Quantified):
             for name, log, number in self._those(formula, state):
@@ -165,6 +168,9 @@ class Log:
         """Of the states that an operator looks at, the nearest one with the truth decides."""
         part = tree.children(formula)[-1]
         found = window(formula.operator, formula.interval, state, self)
+        if not found:
+            yield "no earlier state"
+            return
         if isinstance(formula, tree.Binary) and value != TRUE:
             broken = self._broken(formula, state, value, found)
             if broken is not None:
@@ -172,7 +178,7 @@ class Log:
                 return
         chosen = None
         for each in found if formula.operator in tree.FUTURE else reversed(found):
-            if each >= self._seen:
+            if each >= self._seen and value == UNKNOWN:
                 break
             if truth(part, each, self) == value:
                 chosen = each

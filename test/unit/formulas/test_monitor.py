@@ -89,7 +89,7 @@ def test_why_a_formula_is_unknown(formula: str, given: dict[str, Any], why: str)
     assert (verdict.value, verdict.why) == (Truth.UNKNOWN, why)
 
 
-def explained(formula: str, values: Iterable[Tuple[Any, int]], **settings: Any) -> List[str]:
+def explained(formula: str, values: Iterable[Tuple[Any, Any]], **settings: Any) -> List[str]:
     """The first verdicts of runs about messages with x and y, one a second."""
     monitor = parse(formula).monitor(1.0, delay=0.0, **settings)
     verdicts = []
@@ -136,10 +136,18 @@ def explained(formula: str, values: Iterable[Tuple[Any, int]], **settings: Any) 
             [(1, 1), (1, -1), (1, -1), (-9, -1), (1, 1)],
             "1.000 FALSE  a.x = -9 at 3",
         ),
+        ("once[1, 2] a.x > 0", [(1, 1), (1, 1)], "0.000 FALSE  no earlier state"),
+        ("a.x > 0 since[1, 2] a.y > 0", [(1, 1), (1, 1)], "0.000 FALSE  no earlier state"),
+        ("always[2, 2] not once[0, 1] a.y > 0", [(1, -1), (1, 1)], "0.000 FALSE  a.y = 1 at 1"),
+        (
+            "a.x > 0 or historically a.y > 0",
+            [(1, None), (1, 1), (-9, 2)],
+            "2.000 UNKNOWN  a.x = -9 at 2, a.y = 1 at 1",
+        ),
     ],
 )
 def test_no_atom_is_named_that_did_not_decide(
-    formula: str, values: List[Tuple[int, int]], run: str
+    formula: str, values: List[Tuple[int, Optional[int]]], run: str
 ) -> None:
     assert run in explained(formula, values)
 
