@@ -18,6 +18,7 @@ from typing import Any, Callable, List, Optional, Sequence, Tuple, Union
 
 from dyknow.formulas import tree
 from dyknow.formulas.look_ahead import LookAhead, horizon, looks_ahead
+from dyknow.formulas.precision import plain
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN, steps
 
 Input = Union[tree.Field, tree.Call, tree.Quantified]
@@ -288,12 +289,12 @@ class _Writer:
             return f"constant({self._expression(expression.owner)}, {names})"
         if isinstance(expression, tree.Arithmetic):
             sides = (expression.left, expression.right)
-            left, right = (self._expression(each, around) for each in sides)
+            left, right = (self._expression(each, around or "plain") for each in sides)
             return f"({left} {expression.operator} {right})"
         if isinstance(expression, tree.Call):
             if expression.function in tree.OF_PORTS:
                 return self._input(expression)
-            given = (self._expression(each, around) for each in expression.arguments)
+            given = (self._expression(each, around or "plain") for each in expression.arguments)
             arguments = ", ".join(given)
             return f"{_FUNCTIONS.get(expression.function, expression.function)}({arguments})"
         return self._constant(expression.value)
@@ -351,7 +352,7 @@ def _whole(reading: Union[tree.Field, tree.Call]) -> Union[tree.Field, tree.Call
 
 
 def _seconds(value: Any) -> Any:
-    return value.to_sec() if hasattr(value, "to_sec") else value
+    return value.to_sec() if hasattr(value, "to_sec") else plain(value)
 
 
 def _constant(message: Any, names: Sequence[str]) -> Any:
@@ -368,22 +369,22 @@ def _truth(value: Any) -> int:
         return UNKNOWN
     if hasattr(value, "UNKNOWN") and hasattr(value, "value"):
         return _VERDICT.get(value.value, UNKNOWN)
-    value = getattr(value, "data", value)
-    if value is True or value is False or type(value).__name__ in ("bool", "bool_"):
-        return TRUE if value else FALSE
-    return UNKNOWN
+    value = plain(value)
+    value = plain(getattr(value, "data", value))
+    return (TRUE if value else FALSE) if isinstance(value, bool) else UNKNOWN
 
 
 def _norm(*values: Any) -> float:
     """Return the length of a vector: of numbers, an array, or a message with x, y and z."""
     if len(values) == 1:
         (vector,) = values
-        values = tuple(vector) if hasattr(vector, "__len__") else _components(vector)
+        values = tuple(map(plain, vector)) if hasattr(vector, "__len__") else _components(vector)
     return math.sqrt(sum(value * value for value in values))
 
 
 def _components(vector: Any) -> Tuple[Any, ...]:
-    return tuple(getattr(vector, name) for name in ("x", "y", "z", "w") if hasattr(vector, name))
+    names = [name for name in ("x", "y", "z", "w") if hasattr(vector, name)]
+    return tuple(plain(getattr(vector, name)) for name in names)
 
 
 def _least(*values: float) -> float:
@@ -402,6 +403,7 @@ _GLOBALS = {
     "TRUTH": _truth,
     "DECIDED": ((FALSE,), (UNKNOWN,), None, (TRUE,)),
     "constant": _constant,
+    "plain": plain,
     "seconds": _seconds,
     "sqrt": math.sqrt,
     "norm": _norm,

@@ -19,16 +19,17 @@ from dyknow.formulas.types import ARRAY, known_type, type_of
 
 
 def _rounding(compare: Callable[[Any, Any], bool]) -> Any:
-    """Make a comparison that rounds the other side, if it is a double, to 32 bits."""
+    """Make a comparison that rounds the other side, if it is a number, to 32 bits."""
 
     def compare_rounded(single: Single, other: Any) -> bool:
-        return compare(single, c_float(other).value if isinstance(other, float) else other)
+        is_number = isinstance(other, (float, int))
+        return compare(single, c_float(other).value if is_number else other)
 
     return compare_rounded
 
 
 class Single(float):
-    """A number of 32 bits; a double that it is compared with is rounded to as many."""
+    """A number of 32 bits; one that it is compared with is rounded to as many."""
 
     __slots__ = ()
 
@@ -86,6 +87,11 @@ class _Array(AbstractSequence):  # type: ignore[type-arg]
 def narrowed(message: Any) -> Any:
     """Return a view of a message with numbers of 32 bits, and any other message as it is."""
     return _Message(message) if _types_of(message.__class__) else message
+
+
+def plain(value: Any) -> Any:
+    """Return Python's number for one of numpy, which wraps round and divides by zero."""
+    return value.item() if getattr(value, "ndim", None) == 0 else value
 
 
 def original(value: Any) -> Any:

@@ -17,7 +17,7 @@ from dyknow.formulas.compiler import Evaluator, Input
 from dyknow.formulas.exact import ExactEvaluator
 from dyknow.formulas.log import Log
 from dyknow.formulas.look_ahead import looks_ahead
-from dyknow.formulas.precision import Single, original
+from dyknow.formulas.precision import Single, original, plain
 from dyknow.formulas.semantics import FALSE, TRUE, UNKNOWN
 
 #: Seconds over which ``rate`` counts messages, unless the formula says otherwise.
@@ -323,6 +323,7 @@ def rate_states(call: tree.Call, period: int) -> int:
 
 
 def _written(value: Any) -> str:
+    value = plain(value)
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "unknown"}[value]
     if isinstance(value, Single):

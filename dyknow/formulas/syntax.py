@@ -343,6 +343,8 @@ class _Parser:
             self._take()
             is_duration = self._token.kind == "name" and self._token.text in tree.UNITS
             value = self._times(token, self._unit() if is_duration else 1)
+            if not is_duration and token.text.isdigit() and 2**53 < value < 2**64:
+                return tree.Number(int(value))
             return tree.Number(float(value / tree.SECOND if is_duration else value))
         if token.kind == "text":
             return tree.Text(re.sub(r"\\(.)", r"\1", self._take().text[1:-1]))

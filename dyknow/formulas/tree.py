@@ -25,12 +25,13 @@ OF_PORTS = ("age", "rate", "present")
 
 @dataclass(frozen=True)
 class Number:
-    """A number; a duration is one in seconds."""
+    """A number, whole if it needs more digits than a double has; a duration is in seconds."""
 
-    value: float
+    value: Union[float, int]
 
     def __str__(self) -> str:
-        return f"{self.value:.15g}"
+        text = repr(self.value).replace("inf", "1e999")
+        return text[:-2] if text.endswith(".0") else text
 
 
 @dataclass(frozen=True)

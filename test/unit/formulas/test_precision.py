@@ -10,11 +10,11 @@ from ctypes import c_float
 
 import numpy
 import pytest
-from geometry_msgs.msg import Point32, Polygon, PolygonStamped
+from geometry_msgs.msg import Point, Point32, Polygon, PolygonStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import BatteryState, LaserScan
-from std_msgs.msg import Float32, Float64
+from std_msgs.msg import Bool, Float32, Float64, Int8, Int64, UInt8, UInt64
 
 from dyknow.formulas import Truth, parse
 from dyknow.formulas.precision import Single, narrowed
@@ -62,10 +62,21 @@ SCAN = LaserScan(ranges=numpy.array([0.3], dtype=numpy.float32))
         ("m.data == 16777217", Float32(16777216), True, "m.data = 16777216"),
         ("m.data < 1e300", Float32(1e38), True, "m.data = 1e+38"),
         ("m.data > 0.2", Float64(0.20000001), True, "m.data = 0.20000001"),
+        ("m.data == 9007199254740993", Float32(2**53), True, "m.data = 9.007199e+15"),
+        ("m.data == 9223372036854775807", Int64(2**63 - 1), True, f"m.data = {2**63 - 1}"),
+        ("m.data == 18446744073709551615", UInt64(2**64 - 1), True, f"m.data = {2**64 - 1}"),
+        ("m.data == -9007199254740993", Int64(-(2**53) - 1), True, f"m.data = {-(2**53) - 1}"),
+        ("m.data", Bool(numpy.bool_(True)), True, "m.data = true"),
+        ("m", Bool(numpy.bool_(False)), False, "m = false"),
+        ("-m.data < 0", UInt8(numpy.uint8(5)), True, "m.data = 5"),
+        ("m.data * m.data > 999", UInt8(numpy.uint8(100)), True, "m.data = 100"),
+        ("abs(m.data) == 128", Int8(numpy.int8(-128)), True, "m.data = -128"),
+        ("norm(m) == 16", Point(numpy.int8(16), 0.0, 0.0), True, "m = <Point>"),
+        ("1 / m.data > 0", Float64(numpy.float64(0.0)), None, "m.data = 0"),
     ],
 )
-def test_a_field_of_32_bits_is_compared_as_such(formula, message, is_true, value):
-    expected = Truth.TRUE if is_true else Truth.FALSE
+def test_a_number_is_compared_in_its_precision(formula, message, is_true, value):
+    expected = {True: Truth.TRUE, False: Truth.FALSE, None: Truth.UNKNOWN}[is_true]
     assert judged(formula, message) == (expected, f"{value} at 10")
 
 

@@ -43,6 +43,9 @@ from dyknow.formulas.syntax import MAX_DEPTH, MAX_HEIGHT, MAX_LENGTH
         ("every ?c: Camera (p)", "every ?c: Camera (p)"),
         ("some ?c (once[0,1] p) and q", "some ?c (once[0 s, 1 s] p) and q"),
         ("always\n  p\n", "always p"),
+        ("a.x > 0.30000000000000004", "a.x > 0.30000000000000004"),
+        ("a.x > 18446744073709551615", "a.x > 18446744073709551615"),
+        ("a.x > 1e22 or a.x > 1e400", "(a.x > 1e+22) or (a.x > 1e999)"),
     ],
 )
 def test_what_is_read(text: str, written: str) -> None:
