@@ -141,8 +141,8 @@ class _Parser:
         hint = ""
         if token.text in _ELSEWHERE:
             hint = f"; write '{_ELSEWHERE[token.text]}'"
-        elif token.kind == "name":
-            hint = did_you_mean(token.text, _WORDS - {token.text})
+        elif token.kind == "name" and token.text not in _WORDS:
+            hint = did_you_mean(token.text.lower(), _WORDS)
         self._fail(f"expected {expected}, found {found}{hint}", token.place)
 
     # Formulas
@@ -351,6 +351,9 @@ class _Parser:
         if token.kind != "name" or (token.text in _WORDS and token.text not in ("true", "false")):
             self._unexpected("a formula")
         self._take()
+        if token.text in ("True", "False"):
+            hint = f"write '{token.text.lower()}'"
+            self._fail(f"'{token.text}' is a word of Python: {hint}", token.place)
         if token.text in ("true", "false"):
             return tree.Flag(token.text == "true")
         if self._token.text == "(":
