@@ -20,6 +20,9 @@ def bag_errors(path: str) -> Iterator[None]:
     """Raise DyKnowError for a bag that cannot be read in the block."""
     try:
         yield
+    except rosbag.ROSBagUnindexedException as error:
+        hint = f"'rosbag reindex {path}' makes one"
+        raise DyKnowError(f"bag '{path}' cannot be read: it has no index; {hint}") from error
     except (OSError, rosbag.ROSBagException) as error:
         why = getattr(error, "strerror", None) or error
         raise DyKnowError(f"bag '{path}' cannot be read: {why}") from error
@@ -53,7 +56,8 @@ class Bag:
         topic = given.get(port, f"/{port}")
         if topic in self.datatypes:
             return topic
-        hint = did_you_mean(topic, self.datatypes) or f"; it has {', '.join(self.datatypes)}"
+        known = ", ".join(self.datatypes) or "none"
+        hint = did_you_mean(topic, self.datatypes) or f"; it has {known}"
         raise DyKnowError(f"bag '{self._path}' has no topic '{topic}' for the port '{port}'{hint}")
 
     def verdicts(

@@ -276,3 +276,20 @@ def test_a_file_that_is_no_bag_is_refused(tmp_path, content, said):
         path.write_bytes(content)
     errors = read(str(path))
     assert len(errors) == 2 and all(said in error for error in errors)
+
+
+def test_a_bag_whose_recorder_was_killed_says_how_it_gets_an_index(tmp_path):
+    path = tmp_path / "run.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        bag.write("/a", String("x"), rospy.Time(1))
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"op=\x07")])  # without its index
+    said = f"bag '{path}' cannot be read: it has no index; 'rosbag reindex {path}' makes one"
+    assert read(str(path)) == [said, said]
+
+
+def test_a_bag_without_topics_says_so(tmp_path):
+    path = str(tmp_path / "run.bag")
+    rosbag.Bag(path, "w").close()
+    with pytest.raises(DyKnowError, match="no topic '/a' for the port 'a'; it has none"):
+        Bag(path).topic("a", {})
