@@ -195,7 +195,8 @@ class Log:
         way = 1 if formula.operator in tree.FUTURE else -1
         end = (found[-1] if way > 0 else found[0]) if found else state
         for each in range(state, end, way):
-            if each >= self._seen or (each in found and truth(formula.right, each, self)):
+            is_open = each >= self._seen and value == UNKNOWN
+            if is_open or (each in found and truth(formula.right, each, self)):
                 return None
             if truth(formula.left, each, self) == value:
                 return each

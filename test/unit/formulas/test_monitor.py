@@ -140,6 +140,11 @@ def explained(formula: str, values: Iterable[Tuple[Any, Any]], **settings: Any) 
         ("a.x > 0 since[1, 2] a.y > 0", [(1, 1), (1, 1)], "0.000 FALSE  no earlier state"),
         ("always[2, 2] not once[0, 1] a.y > 0", [(1, -1), (1, 1)], "0.000 FALSE  a.y = 1 at 1"),
         (
+            "always[3, 3] (a.x > 0 since[2, 3] a.y > 0)",
+            [(1, 1), (1, 1), (-9, 1)],
+            "0.000 FALSE  a.x = -9 at 2",
+        ),
+        (
             "a.x > 0 or historically a.y > 0",
             [(1, None), (1, 1), (-9, 2)],
             "2.000 UNKNOWN  a.x = -9 at 2, a.y = 1 at 1",
