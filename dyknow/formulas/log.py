@@ -177,24 +177,24 @@ class Log:
                 yield from self._reasons(formula.left, broken, value)
                 return
         chosen = None
-        for each in found if formula.operator in tree.FUTURE else reversed(found):
+        found = found if formula.operator in tree.FUTURE else found[::-1]
+        for each in found:
             if each >= self._seen and value == UNKNOWN:
                 break
             if truth(part, each, self) == value:
                 chosen = each
                 break
-        if chosen is None and found.stop > self._seen:
+        if chosen is None and max(found[0], found[-1]) >= self._seen:
             yield "no later state"
         elif chosen is None and isinstance(formula, tree.Binary):
             yield from self._reasons(formula.left, state, value)
         else:
-            yield from self._reasons(part, state if chosen is None else chosen, value)
+            yield from self._reasons(part, found[0] if chosen is None else chosen, value)
 
     def _broken(self, formula: tree.Binary, state: int, value: int, found: range) -> int | None:
         """Return the state whose left side rules out all states beyond it; None without one."""
         way = 1 if formula.operator in tree.FUTURE else -1
-        end = (found[-1] if way > 0 else found[0]) if found else state
-        for each in range(state, end, way):
+        for each in range(state, found[-1] if way > 0 else found[0], way):
             is_open = each >= self._seen and value == UNKNOWN
             if is_open or (each in found and truth(formula.right, each, self)):
                 return None

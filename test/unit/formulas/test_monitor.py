@@ -161,6 +161,8 @@ def test_exact_decides_more_and_names_the_unknown_atoms() -> None:
     formula = "a.x > 0 or not a.x > 0"
     assert explained(formula, [(None, 0)]) == ["0.000 UNKNOWN  a.x = unknown at 0"]
     assert explained(formula, [(None, 0)], exact=True) == ["0.000 TRUE  a.x = unknown at 0"]
+    before = explained(f"once[1, 1] ({formula})", [(None, 0), (5, 0)], exact=True)
+    assert before == ["0.000 FALSE  no earlier state", "1.000 TRUE  a.x = unknown at 0"]
 
 
 @pytest.mark.parametrize(
