@@ -109,9 +109,9 @@ class FormulaNodelet(dyknow.Nodelet):
             self.timer = self.nh.Timer(wait, self.on_timer, oneshot=True)
 
     def take(self, now: Any) -> bool:
-        """Take present individuals, and messages; False before the first look for individuals."""
+        """Take present individuals, and messages; False while individuals or time are awaited."""
         present = {} if self.individuals is None else self.individuals.present()
-        if present is None:
+        if present is None or not now:
             return False
         self.publish(take_waiting(self.monitor, self.waiting, present, now))
         return True

@@ -66,8 +66,8 @@ class LiveTopics:
             if received is not None:
                 self._waiting[received.port, received.individual] = received.message
             present = individuals()
-            if present is None:
-                continue
             now = rospy.Time.now() if received is None else received.when
+            if present is None or not now:  # ROS time has not begun
+                continue
             yield from take_waiting(monitor, self._waiting, present, now)
             yield from monitor.advance(now)

@@ -87,6 +87,16 @@ def test_a_formula_over_verdicts_sees_those_that_the_delay_decides(nodelet_harne
     assert verdicts[-1].value == 1
 
 
+def test_messages_wait_until_ros_time_begins(nodelet):
+    """With simulated time it is zero until a first clock has come."""
+    nodelet.monitor = parse("present(f)").monitor(1.0)
+    nodelet.now = 0.0
+    nodelet.on_message("f", "", PointStamped(header=Header(stamp=Time(100))))
+    for nodelet.now in (100.0, 103.0):
+        nodelet.on_timer(None)
+    assert nodelet.verdicts == [1, 1, 1]
+
+
 def test_messages_that_come_late_are_reported(nodelet):
     nodelet.monitor = parse("f.header.seq > 0").monitor(0.1)
     for nodelet.now, stamp in ((1.0, 1.0), (2.0, 2.0), (2.5, 2.1)):

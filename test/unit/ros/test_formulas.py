@@ -12,7 +12,8 @@ from typing import Any, Callable, List, Optional
 import pytest
 import rosbag
 import rospy
-from std_msgs.msg import Bool, String
+from geometry_msgs.msg import PointStamped
+from std_msgs.msg import Bool, Header, String
 
 from dyknow.cli.commands import holds
 from dyknow.cli.shell import Shell
@@ -184,6 +185,18 @@ def test_holds_keeps_messages_until_their_individual_is_present(monkeypatch):
 
     verdicts = live.verdicts(parse("every ?c (f)").monitor(), present, lambda: False)
     assert next(verdicts).value == 1
+
+
+def test_holds_keeps_messages_until_ros_time_begins(monkeypatch):
+    times = iter([0, 0, 100, 103])
+    monkeypatch.setattr(sources, "_PATIENCE", 0.0)
+    monkeypatch.setattr(rospy.core, "is_initialized", lambda: True)
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
+    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(next(times)))
+    live = sources.LiveTopics()
+    live._note("f", "", PointStamped(header=Header(stamp=rospy.Time(100))))
+    verdicts = live.verdicts(parse("present(f)").monitor(1.0), dict, lambda: False)
+    assert [next(verdicts).value for _ in range(3)] == [1, 1, 1]
 
 
 def test_what_is_acquired_after_the_end_is_released_at_once(around):
