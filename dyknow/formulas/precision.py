@@ -112,9 +112,10 @@ def _types_of(message_class: Any) -> Mapping[str, str]:
 def _has_singles(datatype: str) -> bool:
     array = ARRAY.match(datatype)
     element = array.group(1) if array else datatype
-    found = known_type(element) if "/" in element else None
-    fields = () if found is None else found.fields.values()
-    return element == "float32" or any(map(_has_singles, fields))
+    if "/" not in element:
+        return element == "float32"
+    found = known_type(element)  # of one that is not built here the message's class will tell
+    return found is None or any(map(_has_singles, found.fields.values()))
 
 
 def _read(value: Any, datatype: str) -> Any:

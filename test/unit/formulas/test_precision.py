@@ -10,6 +10,7 @@ from ctypes import c_float
 
 import numpy
 import pytest
+from genpy.dynamic import generate_dynamic
 from geometry_msgs.msg import Point, Point32, Polygon, PolygonStamped
 from hypothesis import given
 from hypothesis import strategies as st
@@ -96,6 +97,20 @@ def test_an_array_has_its_numbers_and_a_message_without_such_fields_is_read_as_i
     assert list(narrowed(BATTERY).cell_voltage) == [3.7, 0.1]
     message = Float64(0.2)
     assert narrowed(message) is message
+
+
+@pytest.mark.parametrize("field", ["m.spot.x", "m.spots[0].x"])
+def test_a_type_that_is_not_built_has_its_precision_too(field):
+    """As those of a bag, which has the definitions of its types."""
+    text = (
+        "far_msgs/Spot spot\nfar_msgs/Spot[] spots\n"
+        + "=" * 80
+        + "\nMSG: far_msgs/Spot\nfloat32 x"
+    )
+    classes = generate_dynamic("far_msgs/Spots", text)
+    x = classes["far_msgs/Spot"](0.2)
+    message = classes["far_msgs/Spots"](x, [x])
+    assert judged(f"{field} == 0.2", message) == (Truth.TRUE, f"{field} = 0.2 at 10")
 
 
 def test_a_field_with_something_else_in_it_is_unknown():
