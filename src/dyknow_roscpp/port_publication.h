@@ -12,6 +12,7 @@
 
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -50,8 +51,8 @@ public:
   /// lazy nodelet would go on working for no subscriber. The node hears of no links that come later.
   void disconnectAll();
 
-  /// Whether as many subscribers are connected as the master knew when it was advertised.
-  bool isHeardByAll() const;
+  /// Whether the subscribers are connected that the master knew when it was advertised. Called by one thread.
+  bool isHeardByAll();
 
   /// Whether there is a link to another process, which still has to receive published messages.
   bool isHeardOutside() const;
@@ -64,7 +65,8 @@ private:
   const ros::SubscriberCallbacksPtr node_;
   ros::PublicationPtr publication_;  ///< roscpp's, of all publishers of this process that are on the topic
   bool is_advertised_ = false;       ///< under the wiring lock
-  std::size_t known_subscribers_ = 0;
+  std::set<std::string> awaited_;    ///< addresses of subscribers that have yet to connect
+  std::set<std::string> asked_;      ///< names of nodes whose addresses the master was asked for
   mutable std::mutex links_lock_;
   bool is_withdrawn_ = false;
   std::vector<ros::SubscriberLinkPtr> links_;

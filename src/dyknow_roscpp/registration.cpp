@@ -8,6 +8,7 @@
 #include <algorithm>
 
 #include "leases.h"
+#include "master.h"
 #include "port_publication.h"
 #include "problems.h"
 #include "symbols.h"
@@ -26,6 +27,9 @@ template struct PrivateMember<LinkOf, &ros::SingleSubscriberPublisher::link_>;
 
 namespace
 {
+
+/// How long the master may take to look up the address of a node.
+constexpr std::chrono::milliseconds ADDRESS_PATIENCE(100);
 
 /// Calls at once. roscpp waits for callbacks in a queue when it removes them, and it does so under the wiring
 /// lock: it must not wait for the node's code. The callback only passes the call on to the node's
@@ -71,6 +75,20 @@ private:
 /// Whether this thread joins a publication that is there, whose links then have not been sent a latched
 /// message.
 thread_local bool t_joining = false;
+
+/// The address of a node; empty if the master knows none.
+std::string addressOf(const std::string& node)
+{
+  try
+  {
+    XmlRpc::XmlRpcValue found = askMaster("lookupNode", node, Clock::now() + ADDRESS_PATIENCE);
+    return found.valid() ? static_cast<std::string>(found) : "";
+  }
+  catch (const Refusal&)
+  {
+    return "";
+  }
+}
 
 ros::SubscriberCallbacksPtr makeCallbacks()
 {
@@ -118,7 +136,7 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
     }
   };
   const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
-  is_advertised_ = topics::advertise(lock, options, callbacks, &known_subscribers_);
+  is_advertised_ = topics::advertise(lock, options, callbacks, &awaited_);
   const auto publication = topics::publication(topic);
   {
     std::lock_guard<std::mutex> links_lock(links_lock_);
@@ -187,9 +205,31 @@ void Registration::disconnectAll()
   }
 }
 
-bool Registration::isHeardByAll() const
+bool Registration::isHeardByAll()
 {
-  return topics::subscribers(topic) >= known_subscribers_;
+  std::set<std::string> callers;
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    for (const auto& link : links_)
+    {
+      if (!link->isIntraprocess())
+      {
+        callers.insert(link->getDestinationCallerID());
+      }
+    }
+  }
+  if (callers.size() < awaited_.size())
+  {
+    return false;
+  }
+  for (const auto& caller : callers)  // some may have come since
+  {
+    if (!awaited_.empty() && asked_.insert(caller).second)
+    {
+      awaited_.erase(addressOf(caller));
+    }
+  }
+  return awaited_.empty();
 }
 
 bool Registration::isHeardOutside() const

@@ -9,6 +9,7 @@
 #include <ros/publication.h>
 #include <ros/subscriber_link.h>
 #include <ros/topic_manager.h>
+#include <ros/xmlrpc_manager.h>
 #include <rosgraph_msgs/TopicStatistics.h>
 
 #include <algorithm>
@@ -57,7 +58,7 @@ std::atomic<bool> g_has_statistics{false};
 std::atomic<bool> g_keeps_statistics{false};
 
 thread_local std::vector<std::string>* t_unregistered = nullptr;
-thread_local std::size_t* t_known = nullptr;
+thread_local std::set<std::string>* t_known = nullptr;
 
 ros::TopicManager* manager()
 {
@@ -138,10 +139,10 @@ void unsubscribe(const WiringLock&, const std::string& topic,
 }
 
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
-               const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known)
+               const ros::SubscriberCallbacksPtr& callbacks, std::set<std::string>* known)
 {
   static const auto next = behind(&ros::TopicManager::advertise);
-  const Setting<std::size_t*> asking(t_known, known);
+  const Setting<std::set<std::string>*> asking(t_known, known);
   return !g_is_shut_down && next(manager(), options, callbacks);
 }
 
@@ -150,7 +151,11 @@ void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer)
   if (t_known != nullptr && question == "registerPublisher" &&
       answer.getType() == XmlRpc::XmlRpcValue::TypeArray)
   {
-    *t_known = answer.size();
+    for (int i = 0; i < answer.size(); ++i)
+    {
+      t_known->insert(answer[i]);
+    }
+    t_known->erase(ros::XMLRPCManager::instance()->getServerURI());
   }
 }
 

@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <functional>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -71,9 +72,10 @@ bool subscribe(const WiringLock&, const ros::SubscribeOptions& options);
 void unsubscribe(const WiringLock&, const std::string& topic,
                  const ros::SubscriptionCallbackHelperPtr& helper);
 
-/// @param known set to the number of subscribers that the master knows; 0 if this process is on the topic already
+/// @param known set to the addresses of other nodes that the master knows as subscribers; none if this process is on
+/// the topic already
 bool advertise(const WiringLock&, const ros::AdvertiseOptions& options,
-               const ros::SubscriberCallbacksPtr& callbacks, std::size_t* known = nullptr);
+               const ros::SubscriberCallbacksPtr& callbacks, std::set<std::string>* known = nullptr);
 
 /// The master's answers: the one to `advertise` of this thread has the subscribers.
 void noteAnswer(const std::string& question, XmlRpc::XmlRpcValue& answer);

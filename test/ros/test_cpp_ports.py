@@ -14,6 +14,7 @@ import threading
 import time
 import unittest
 from pathlib import Path
+from unittest import mock
 from urllib.parse import urlsplit
 from xmlrpc.server import SimpleXMLRPCServer
 
@@ -40,6 +41,7 @@ from geometry_msgs.msg import Vector3
 from graph import Heard, connect, refusal, set_config, set_config_pairs, topics_of_ports
 from nodelet.srv import NodeletLoad
 from processes import BUSY, Running, TellingCase, becomes, eventually, free_port, run, suspended
+from rospy.impl import tcpros_pubsub
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, Header, String
 from std_srvs.srv import Trigger
@@ -234,6 +236,25 @@ class MoveTest(CppCase):
         self.assertEqual(report("/source")["watchers"], 0)
         move_in("/b")
         becomes(lambda: report("/source")["watchers"], 1)
+
+    def test_a_newcomer_does_not_stand_for_a_subscriber_that_has_yet_to_connect(self):
+        """An out-port waits for those that the master knew, whoever else connects meanwhile."""
+        self.manager.load("Eager", "/eager", {})
+        may_connect = threading.Event()
+
+        def connect_late(*args: object) -> None:
+            may_connect.wait()
+            connect_now(*args)
+
+        connect_now = tcpros_pubsub.robust_connect_subscriber
+        with mock.patch.object(tcpros_pubsub, "robust_connect_subscriber", connect_late):
+            self.enter(Heard("/late", String))
+            self.addCleanup(may_connect.set)
+            before = time.monotonic()
+            connect(
+                "/eager", **{"in": "/late", "out": "/late"}
+            )  # its own in-port is there at once
+            self.assertGreaterEqual(time.monotonic() - before, 0.5)
 
     def test_outside_subscribers_miss_nothing(self):
         """Unless they connect later than a move waits for, as they may on a busy machine."""
