@@ -10,19 +10,27 @@ rospy also repeats a registration for ever while the master is down, under the l
 every other registration of the process needs; here one that fails is repeated by a thread. So is a
 withdrawal, or the master would list the topic for as long as the process lives.
 
+A publisher refuses a subscriber that has learnt too late that the topic was withdrawn. rospy
+counts that as a connection, for a second or for ever, and does not connect when the topic is back;
+here it is none.
+
 The hook is two instance attributes of rospy's ``RegManager``, those of its documented
-``RegistrationListener`` interface.
+``RegistrationListener`` interface, and the function that connects a subscriber.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import threading
+import time
 from typing import Any, Callable, Collection, Iterator, Sequence, Tuple
 
 import rospy
 import rospy.core
+from rospy.exceptions import TransportInitError
+from rospy.impl import tcpros_pubsub
 from rospy.impl.registration import (
     Registration,
     RegManager,
@@ -75,11 +83,15 @@ class Registrar:
         )
         self._reminders = Reminders(self._register_again, self._connected)
         self._manager: Any = None
+        #: When a connection to a publisher, by topic and address, failed last.
+        self._refused: dict[tuple[str, str], float] = {}
         for listener in list(get_registration_listeners().listeners):
             if isinstance(listener, RegManager):
                 self._manager = listener
                 listener.reg_added = self.reg_added
                 listener.reg_removed = self.reg_removed
+                connect = functools.partial(self._connect, tcpros_pubsub.robust_connect_subscriber)
+                tcpros_pubsub.robust_connect_subscriber = connect
 
     def subscribers(self, topic: str) -> Addresses | None:
         """Addresses of the other nodes that subscribed when this process began to publish.
@@ -103,6 +115,36 @@ class Registrar:
             uris = {*uris, *map(self._master.node, self._master.publishers(topic))} - {""}
         if self._manager is not None:
             self._manager.publisher_update(topic, sorted(uris))
+
+    def _connect(self, connect: Callable[..., None], connection: Any, *where: Any) -> None:
+        """Connect to a publisher with rospy's function ``connect``, and receive its messages."""
+        _, _, uri, _, topic = where
+        rospy_connect, has_failed = connection.connect, False
+
+        def attempt(*args: Any, **options: Any) -> None:
+            nonlocal has_failed
+            try:
+                rospy_connect(*args, **options)
+            except TransportInitError:
+                has_failed = True
+                if connection.socket is not None:  # it is refused; there is no other attempt
+                    connection.close()
+                raise
+            connection.connect, has_failed = rospy_connect, False
+
+        connection.connect = attempt
+        connect(connection, *where)
+        if not has_failed or rospy.is_shutdown():
+            return
+        if connection.protocol is not None:  # it was given up, not closed
+            connection.done = False
+            connection.close()
+        now = time.monotonic()
+        with self._lock:
+            lately = {each: at for each, at in self._refused.items() if now - at < _AGAIN}
+            self._refused = {**lately, (topic, uri): now}
+        if (topic, uri) not in lately:  # it may be back: an update meanwhile had no effect
+            self.connect_again(topic, ())
 
     def is_subscribed(self, topic: str) -> bool:
         """Whether the master knows the subscription of this process, as far as there is one."""

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import socket
 import socketserver
 import threading
 import xmlrpc.server
@@ -13,6 +14,13 @@ from types import SimpleNamespace
 
 import pytest
 from clocks import PATIENCE, eventually
+from rospy.exceptions import TransportInitError
+from rospy.impl import registration, tcpros_pubsub
+from rospy.impl.registration import RegManager
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.tcpros_pubsub import TCPROSSub
+from rospy.topics import _SubscriberImpl
+from std_msgs.msg import Header
 
 from dyknow.errors import PeerTimeout
 from dyknow.ros.transport import registrar as registrar_module
@@ -105,6 +113,40 @@ def test_publishers_that_were_left_are_connected_to_again(master, registrar, is_
     registrar.connect_again("/a", {"http://left:1/"})
     others = [] if is_away else ["http://newcomer:1/"]
     assert updates == [("/a", ["http://left:1/", *others])]
+
+
+@pytest.mark.parametrize("is_refused", [True, False])
+def test_a_publisher_that_refused_is_connected_to_when_it_is_back(is_refused, monkeypatch):
+    """Where it is out of reach instead, when rospy has given it up."""
+    listeners, manager = registration.RegistrationListeners(), RegManager(SimpleNamespace())
+    listeners.add_listener(manager)
+    monkeypatch.setattr(registrar_module, "get_registration_listeners", lambda: listeners)
+    for name in ("robust_connect_subscriber", "check_if_still_publisher"):  # restored
+        monkeypatch.setattr(tcpros_pubsub, name, getattr(tcpros_pubsub, name))
+    monkeypatch.setattr(tcpros_pubsub, "check_if_still_publisher", lambda topic, uri: is_refused)
+    monkeypatch.setattr(tcpros_pubsub, "time", SimpleNamespace(sleep=lambda seconds: None))
+    registrar = Registrar(Master("/test", "http://127.0.0.1:1"))
+    again: list[str] = []
+    monkeypatch.setattr(registrar, "connect_again", lambda topic, uris: again.append(topic))
+    subscriber = _SubscriberImpl("/a", Header)
+
+    def connect(uri):
+        connection = TCPROSTransport(TCPROSSub("/a", Header), "/a")
+        connection.set_endpoint_id(uri)
+
+        def fail(*args, **options):
+            connection.socket = socket.socket() if is_refused else None
+            raise TransportInitError("no topic /a")
+
+        connection.connect = fail
+        subscriber.add_connection(connection)
+        where = "127.0.0.1", 1, uri, None, "/a"
+        tcpros_pubsub.robust_connect_subscriber(connection, *where)
+        return subscriber.has_connection(uri)
+
+    assert not connect("http://back:1/") and again == ["/a"]
+    assert not connect("http://back:1/") and again == ["/a"], "at once, once"
+    assert not connect("http://other:1/") and again == ["/a", "/a"]
 
 
 def test_a_dead_master_blocks_no_registration_and_receives_it_later(master, registrar):
