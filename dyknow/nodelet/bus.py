@@ -16,13 +16,13 @@ A switch (``rewire``) goes through four steps:
    goes into the strand, new connections open;
 3. register: topics with other ends in this process alone have switched already; their
    registrations are made now. What is published until then is kept for the outside;
-4. break: the registrations of the old topics are drained and withdrawn.
+4. break: the registrations of the old topics are drained and withdrawn. Where the first message
+   of one publisher has made a switch, its other publishers are waited for now.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from dataclasses import dataclass, field
 from typing import Any, Callable, Mapping, Sequence, Union
@@ -167,6 +167,11 @@ class Bus:
             self._register_late(parts, patience)
         finally:
             self._break(parts, deadline)
+        for part in parts:
+            left = deadline - self._clock() if patience else 0.0
+            is_new = part.is_late or not part.is_live  # else the process is connected already
+            if part.link is not None and part.registration is not None and is_new and left > 0:
+                part.registration.wait_for_all(left)
 
     def release(self, endpoints: Sequence[Endpoint]) -> None:
         """Take endpoints off the bus for good: messages that wait for them are dropped.
@@ -273,7 +278,7 @@ class Bus:
                     part.registration.wait(seconds)
                 else:  # each publisher is waited for, also when the first has sent
                     part.link.outside = part.registration
-                    part.registration.wait(threading.Event().wait, seconds)
+                    part.registration.wait_for_all(seconds)
                     missing += part.registration.missing()
         except BaseException:
             self._undo(parts)

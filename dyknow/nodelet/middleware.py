@@ -119,8 +119,11 @@ class OutsideSubscriber(Closable):
         ``arrived`` waits at most so many seconds for a first message, and returns if it came.
         """
 
+    def wait_for_all(self, seconds: float) -> None:
+        """Return when all outside publishers would send us a message, or time is up."""
+
     def missing(self) -> list[str]:
-        """Addresses of publishers that answer, and did not send to us when ``wait`` ended."""
+        """Addresses of publishers that answer, and did not send to us when a wait ended."""
         return []
 
     def hear(self, arrived: Callable[[float], bool], seconds: float) -> None:

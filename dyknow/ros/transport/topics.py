@@ -11,6 +11,7 @@ import math
 import socket
 import sys
 import termios
+import threading
 import time
 import warnings
 from typing import Any, Callable, Sequence
@@ -230,8 +231,8 @@ class RospySubscriber(OutsideSubscriber):
         self._registrar = registrar
         #: Connections that are read no more.
         self._shut: list[Any] = []
-        self._expected = registrar.publishers(topic)
-        self._missing: frozenset[str] = frozenset()
+        #: Addresses of publishers that do not send to us yet.
+        self._missing = registrar.publishers(topic)
         self._closed = flag_lock()
 
     def publishers(self) -> int:
@@ -245,12 +246,13 @@ class RospySubscriber(OutsideSubscriber):
         """Wait for a first message, or until all publishers would send us one."""
         began = time.monotonic()
         deadline, looks_at = began + seconds, began + _GRACE
-        expected = self._expected
+        expected = self._missing
         if expected is None:  # an ordinary subscriber of this process had registered
             try:
                 expected = _publishers(self._topic)
             except PeerTimeout:
                 return
+        expected -= {each.endpoint_id for each in self.links() if each.stat_num_msg}
         while expected and not arrived(_STEP) and time.monotonic() < deadline:
             expected = frozenset(each for each in expected if not self._is_served(each, deadline))
             if time.monotonic() >= looks_at:
@@ -258,8 +260,11 @@ class RospySubscriber(OutsideSubscriber):
                 expected = frozenset(each for each in expected if not _is_dead(each, deadline))
         self._missing = expected
 
+    def wait_for_all(self, seconds: float) -> None:
+        self.wait(threading.Event().wait, seconds)
+
     def missing(self) -> list[str]:
-        return sorted(filter(_is_alive, self._missing))
+        return sorted(filter(_is_alive, self._missing or ()))
 
     def _is_served(self, publisher: str, deadline: float) -> bool:
         """Whether a publisher has us among its connections; False if it does not say so in time.

@@ -81,6 +81,23 @@ def test_messages_from_outside_that_come_during_the_switch_follow_the_old_ones(b
     assert bench.received() == ["old", "between", "new"]
 
 
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_change_ends_when_all_publishers_outside_send_but_the_switch_is_earlier(bench, is_live):
+    if is_live:
+        bench.probe.Publisher("/new", Message)
+
+    class Slow(LocalSubscriber):
+        def wait_for_all(self, seconds):
+            assert seconds > 0
+            bench.transport.send("/new", Message("new"))
+            assert bench.received() == ["new"]
+            bench.got.append(Message("all send"))
+
+    bench.transport.on_made = lambda made: setattr(made, "__class__", Slow)
+    bench.connect(into="/new")
+    assert bench.received() == ["new", "all send"]
+
+
 def test_messages_until_the_switch_go_before_the_new_and_later_ones_are_dropped(bench):
     def last_words():
         bench.transport.send("/new", Message("new"))

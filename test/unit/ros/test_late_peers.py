@@ -9,7 +9,7 @@ import logging
 import socket
 import threading
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Collection
 from unittest import mock
 
 import pytest
@@ -191,9 +191,15 @@ class Graph:
         self.dead: set[str] = set()
         self.late = LateSubscribers(lambda: self.now)
         connections = [
-            SimpleNamespace(local_endpoint=("here", port), endpoint_id=uri, callerid_pub="/talker")
+            SimpleNamespace(
+                local_endpoint=("here", port),
+                endpoint_id=uri,
+                callerid_pub="/talker",
+                stat_num_msg=0,
+            )
             for port, uri in enumerate(self.served_at)
         ]
+        self.first = connections[0]
         implementation = SimpleNamespace(connections=connections)
         publisher = mock.MagicMock(connections=[], latch=None, queue_size=1)
         rospy: Any = SimpleNamespace(
@@ -203,8 +209,10 @@ class Graph:
             resolve_name=lambda topic: topic,
         )
         monkeypatch.setattr(topics, "rospy", rospy)
-        steady = SimpleNamespace(monotonic=lambda: self.now, sleep=self.arrived)
+        steady = SimpleNamespace(monotonic=lambda: self.now, sleep=self.passes)
         monkeypatch.setattr(topics, "time", steady)
+        event = SimpleNamespace(wait=self.passes)
+        monkeypatch.setattr(topics, "threading", SimpleNamespace(Event=lambda: event))
         monkeypatch.setattr(topics, "Master", lambda name: self)
         monkeypatch.setattr(topics, "refuses", lambda uri, timeout: uri in self.dead)
 
@@ -213,16 +221,23 @@ class Graph:
             raise PeerTimeout(uri, timeout)
         return {list(self.served_at).index(uri)} if self.now >= self.served_at[uri] else set()
 
+    def passes(self, seconds: float) -> bool:
+        self.now += seconds
+        return False
+
     def arrived(self, seconds: float) -> bool:
         self.now += seconds
+        self.first.stat_num_msg = int(self.now >= self.first_at)
         return self.now >= self.first_at
 
-    def wait(self) -> float:
-        """Return the seconds that the subscriber waits."""
-        registrar: Any = SimpleNamespace(publishers=lambda topic: frozenset((ONE, TWO)))
+    def wait(self, publishers: Collection[str] = (ONE, TWO)) -> tuple[float, float]:
+        """Return the seconds that the subscriber waits, and those until all would send to it."""
+        registrar: Any = SimpleNamespace(publishers=lambda topic: frozenset(publishers))
         made = RospySubscriber(registrar, "/t", Header, lambda *message: None, {})
         made.wait(self.arrived, PATIENCE)
-        return self.now
+        waited = self.now
+        made.wait_for_all(PATIENCE - waited)
+        return waited, self.now
 
     def announce(self, patience: float = PATIENCE) -> frozenset[str]:
         """Publish on a topic of both nodes; returns those that are expected after the wait."""
@@ -242,21 +257,25 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
 
 
 @pytest.mark.parametrize(
-    ("case", "waits"),
+    ("case", "waits", "for_all"),
     [
-        ("all are connected and silent", 0.2),
-        ("a first message comes", 0.05),
-        ("one does not answer", PATIENCE),
-        ("one is dead", 0.1),
+        ("all are connected and silent", 0.2, 0.2),
+        ("a first message comes", 0.05, 0.2),
+        ("a first message comes from the only one", 0.05, 0.05),
+        ("one does not answer", PATIENCE, PATIENCE),
+        ("one is dead", 0.1, 0.1),
     ],
 )
-def test_how_long_publishers_are_waited_for(graph: Graph, case: str, waits: float) -> None:
+def test_how_long_publishers_are_waited_for(
+    graph: Graph, case: str, waits: float, for_all: float
+) -> None:
     if case.startswith("one"):
         del graph.served_at[TWO]
-    if case == "a first message comes":
+    if case.startswith("a first message comes"):
         graph.first_at = 0.05
     graph.dead = {TWO} if case == "one is dead" else set()
-    assert graph.wait() == pytest.approx(waits, abs=0.01)
+    waited = graph.wait([ONE] if case.endswith("only one") else [ONE, TWO])
+    assert waited == pytest.approx((waits, for_all), abs=0.01)
 
 
 @pytest.mark.parametrize(
