@@ -301,6 +301,7 @@ class Bus:
 
     def _make(self, parts: list[_Part], deadline: float, patience: float) -> None:
         with self._lock:
+            left = {part.endpoint.topic for part in parts if part.is_publication}
             for part in parts:
                 if not part.topic:
                     continue
@@ -318,7 +319,8 @@ class Bus:
                 is_shared = any(each.outside is not None for each in topic.route)
                 part.is_late = part.is_live and not is_shared
                 part.link = Connection(part.endpoint, part.topic)
-                self._link(topic, part.link)
+                if part.topic not in left:  # else it would take messages from before the switch
+                    self._link(topic, part.link)
             self._making += parts
         early = [p for p in parts if p.topic and not (p.is_late or p.registration)]
         for part in early:
@@ -345,8 +347,12 @@ class Bus:
     def _switch(self, parts: list[_Part], on_switch: Callable[[], None]) -> None:
         with self._lock:
             self._check(parts)
+            come = {part.topic for part in parts if part.is_publication}
             for part in parts:
                 part.old = part.endpoint.outside
+                if not part.is_publication and part.endpoint.topic in come:
+                    self._unlink(part.endpoint.connection, discard=False)
+            for part in parts:
                 if part.is_publication:
                     self._move(part)
             for part in parts:
@@ -354,6 +360,9 @@ class Bus:
                     old, part.endpoint.connection = part.endpoint.connection, part.link
                     if part.link is not None:
                         part.link.outside = part.registration
+                        topic = self._topic(part.topic, part.endpoint.datatype)
+                        if part.link not in topic.route:
+                            self._link(topic, part.link)
                     self._unlink(old, discard=False)
             on_switch()
             for part in parts:

@@ -138,6 +138,17 @@ def test_subscribers_stay_while_the_latched_message_is_sent(bench):
     assert peers == [1]
 
 
+def test_two_ports_that_swap_their_topics_never_meet(bench):
+    bench.out.publish("latched")
+    bench.transport.on_register = lambda topic: bench.out.publish("in between")
+    bench.connect(out="/x", into="/a")
+    bench.send("/a", "new")
+    assert bench.received() == ["new"]
+    bench.transport.on_register = lambda topic: None
+    bench.connect(into="/x")
+    assert bench.received() == ["new", "in between"]
+
+
 def test_messages_of_a_latching_port_during_its_registration_go_outside_in_order(bench):
     bench.probe.Subscriber("/new", Message, print)
     for handle in (bench.out, bench.spare):
