@@ -22,6 +22,25 @@
 namespace dyknow
 {
 
+/// The subscribers of a topic in other processes: all publications of this process share them.
+class Audience
+{
+public:
+  /// @param addresses of those that the master knew
+  void expect(std::set<std::string> addresses);
+
+  void connected(const std::string& node);
+
+  /// Whether all have connected; queries the master for the addresses of those that have since the last call.
+  bool isComplete();
+
+private:
+  std::mutex state_lock_;
+  bool is_awaiting_ = true;
+  std::set<std::string> awaited_;   ///< addresses of those that have yet to connect
+  std::vector<std::string> named_;  ///< names of those that have connected, while some are awaited
+};
+
 /// One publication's registration on one topic, with the links to its subscribers.
 class Registration : public std::enable_shared_from_this<Registration>
 {
@@ -51,8 +70,8 @@ public:
   /// lazy nodelet would go on working for no subscriber. The node hears of no links that come later.
   void disconnectAll();
 
-  /// Whether the subscribers are connected that the master knew when it was advertised. Called by one thread.
-  bool isHeardByAll();
+  /// Whether the subscribers have connected that the master knew when the process advertised the topic.
+  bool isHeardByAll() const;
 
   /// Whether there is a link to another process, which still has to receive published messages.
   bool isHeardOutside() const;
@@ -65,8 +84,7 @@ private:
   const ros::SubscriberCallbacksPtr node_;
   ros::PublicationPtr publication_;  ///< roscpp's, of all publishers of this process that are on the topic
   bool is_advertised_ = false;       ///< under the wiring lock
-  std::set<std::string> awaited_;    ///< addresses of subscribers that have yet to connect
-  std::set<std::string> asked_;      ///< names of nodes whose addresses the master was asked for
+  std::shared_ptr<Audience> audience_;  ///< null before it is advertised
   mutable std::mutex links_lock_;
   bool is_withdrawn_ = false;
   std::vector<ros::SubscriberLinkPtr> links_;

@@ -6,6 +6,8 @@
 #include <ros/single_subscriber_publisher.h>
 
 #include <algorithm>
+#include <iterator>
+#include <map>
 
 #include "leases.h"
 #include "master.h"
@@ -77,7 +79,7 @@ private:
 thread_local bool t_joining = false;
 
 /// The address of a node; empty if the master knows none.
-std::string addressOf(const std::string& node)
+std::string addressOfNode(const std::string& node)
 {
   try
   {
@@ -90,6 +92,25 @@ std::string addressOf(const std::string& node)
   }
 }
 
+/// The subscribers of a topic, which the publications there share; `is_new`: there is no other one.
+std::shared_ptr<Audience> audienceOf(const topics::WiringLock&, const std::string& topic, bool is_new)
+{
+  static auto& state_lock = *new std::mutex;  // leaked, see later.cpp
+  static auto& audiences = *new std::map<std::string, std::weak_ptr<Audience>>;
+  std::lock_guard<std::mutex> lock(state_lock);
+  auto found = audiences[topic].lock();
+  if (!found || is_new)
+  {
+    found = std::make_shared<Audience>();
+    audiences[topic] = found;
+  }
+  for (auto each = audiences.begin(); each != audiences.end();)
+  {
+    each = each->second.expired() ? audiences.erase(each) : std::next(each);
+  }
+  return found;
+}
+
 ros::SubscriberCallbacksPtr makeCallbacks()
 {
   static auto& queue = *new DirectQueue;  // leaked, see later.cpp
@@ -99,6 +120,43 @@ ros::SubscriberCallbacksPtr makeCallbacks()
 }
 
 }  // namespace
+
+void Audience::expect(std::set<std::string> addresses)
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  awaited_ = std::move(addresses);
+  is_awaiting_ = !awaited_.empty();
+}
+
+void Audience::connected(const std::string& node)
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  if (is_awaiting_)
+  {
+    named_.push_back(node);
+  }
+}
+
+bool Audience::isComplete()
+{
+  std::vector<std::string> named;
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    named.swap(named_);
+  }
+  std::set<std::string> addresses;
+  for (const auto& node : named)
+  {
+    addresses.insert(addressOfNode(node));
+  }
+  std::lock_guard<std::mutex> lock(state_lock_);
+  for (const auto& address : addresses)
+  {
+    awaited_.erase(address);
+  }
+  is_awaiting_ = !awaited_.empty();
+  return !is_awaiting_;
+}
 
 Registration::Registration(std::string topic, ros::SubscriberCallbacksPtr node, const std::string& owner)
   : topic(std::move(topic))
@@ -135,8 +193,15 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
       here->disconnected(peer.*pointerTo(LinkOf()));
     }
   };
-  const Setting<bool> joining(t_joining, topics::isAdvertised(lock, topic));
-  is_advertised_ = topics::advertise(lock, options, callbacks, &awaited_);
+  const bool is_joining = topics::isAdvertised(lock, topic);
+  audience_ = audienceOf(lock, topic, !is_joining);
+  const Setting<bool> joining(t_joining, is_joining);
+  std::set<std::string> known;
+  is_advertised_ = topics::advertise(lock, options, callbacks, &known);
+  if (!is_joining)
+  {
+    audience_->expect(std::move(known));
+  }
   const auto publication = topics::publication(topic);
   {
     std::lock_guard<std::mutex> links_lock(links_lock_);
@@ -205,31 +270,9 @@ void Registration::disconnectAll()
   }
 }
 
-bool Registration::isHeardByAll()
+bool Registration::isHeardByAll() const
 {
-  std::set<std::string> callers;
-  {
-    std::lock_guard<std::mutex> lock(links_lock_);
-    for (const auto& link : links_)
-    {
-      if (!link->isIntraprocess())
-      {
-        callers.insert(link->getDestinationCallerID());
-      }
-    }
-  }
-  if (callers.size() < awaited_.size())
-  {
-    return false;
-  }
-  for (const auto& caller : callers)  // some may have come since
-  {
-    if (!awaited_.empty() && asked_.insert(caller).second)
-    {
-      awaited_.erase(addressOf(caller));
-    }
-  }
-  return awaited_.empty();
+  return !audience_ || audience_->isComplete();
 }
 
 bool Registration::isHeardOutside() const
@@ -240,6 +283,10 @@ bool Registration::isHeardOutside() const
 
 void Registration::connected(const ros::SubscriberLinkPtr& link)
 {
+  if (!link->isIntraprocess())
+  {
+    audience_->connected(link->getDestinationCallerID());
+  }
   {
     std::lock_guard<std::mutex> lock(links_lock_);
     if (is_withdrawn_)
