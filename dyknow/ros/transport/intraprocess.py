@@ -46,6 +46,7 @@ from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand, message_lock
+from dyknow.periodic import NO_THREAD, in_background
 from dyknow.ros.transport.conversions import (
     TypedReceiver,
     connection_header,
@@ -121,7 +122,8 @@ class OrdinaryHandles(rospy.SubscribeListener):
     """Ordinary rospy handles of this process, at ``uri``, on one topic of the bus.
 
     ``address`` returns the address of a node, ``executor`` runs callbacks of ordinary subscribers,
-    and ``outbound`` replaces a connection to a subscriber, with a queue size.
+    ``outbound`` replaces a connection to a subscriber, with a queue size, and ``subscribers``
+    returns the names of the nodes that have subscribed to a topic.
     """
 
     outwards: Callable[..., Any]
@@ -133,16 +135,19 @@ class OrdinaryHandles(rospy.SubscribeListener):
         address: Callable[[str], str],
         executor: Executor,
         outbound: Callable[[Any, int | None], Any],
+        subscribers: Callable[[str], Collection[str]],
     ) -> None:
         self.name = name
         self.registrations: set[Any] = set()
         self.backlog = Backlog()
         self.backlog.gave_up = self.refresh
+        self.backlog.look = self._look
         #: By publication, the latest last; under None the message of ordinary publishers.
         self._latches: dict[Any, Any] = {}
         self._uri = uri
         self._address = address
         self._outbound = outbound
+        self._subscribers = subscribers
         self._strand = Strand(executor, f"rospy subscribers of {name}")
         self._waiting: list[_Waiting] = []
         #: The largest queue size of the publications; None before the first.
@@ -272,11 +277,22 @@ class OrdinaryHandles(rospy.SubscribeListener):
         self.refresh()
 
     def forget_dead(self, is_dead: Callable[[str], bool]) -> None:
-        """Expect subscribers no more that are dead; to find that out may take time."""
+        """Expect subscribers no more that are gone; to find that out may take time."""
         dead = set(filter(is_dead, self.backlog.due))
         with self._publisher_held():
             self.backlog.forget(dead)
         self.refresh()
+
+    def _look(self) -> None:
+        with contextlib.suppress(*NO_THREAD):  # a later message tries again
+            in_background(f"looking for subscribers of {self.name}", self.forget_left)
+
+    def forget_left(self) -> None:
+        """Expect those no more that do not subscribe to the topic now; the master is asked."""
+        with contextlib.suppress(PeerTimeout, LookupError):
+            present = {self._address(each) for each in self._subscribers(self.name)}
+            if "" not in present:  # else some address is not known now
+                self.forget_dead(lambda each: each not in present)
 
     def link(self, subscriber: Any, replacing: bool = False) -> None:
         """Show the link on rospy's subscriber and follow its ordinary callbacks."""
@@ -451,6 +467,7 @@ class IntraProcess(rospy.impl.registration.RegistrationListener):
                     self._address_of,
                     self._executor,
                     self._shared_memory.outbound,
+                    self._master.subscribers,
                 )
                 self._shared_memory.topics.add(topic)
             return self._topics[topic]

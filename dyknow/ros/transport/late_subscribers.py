@@ -30,6 +30,8 @@ from dyknow.periodic import PeriodicWorker
 
 #: Seconds in which a subscriber that the master notified has connected, if it lives.
 LONGEST = 10.0
+#: Seconds before it is looked for the first time whether it has left the topic; then they double.
+_FIRST_LOOK = 0.5
 #: Seconds for which a subscriber that did not connect in time is not waited for again.
 _IMPATIENCE = 5.0
 #: Messages kept at most where the publisher's own queue is unbounded.
@@ -55,7 +57,8 @@ class Backlog:
     All methods but ``waiting`` are called under the lock of rospy's publisher.
 
     A node that was killed stays registered with the master, so a subscriber that is expected may
-    be dead.
+    be dead. One may leave before it connects, and come back: what was published meanwhile is not
+    for it.
     """
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
@@ -68,6 +71,9 @@ class Backlog:
         self.open = False
         #: Called when a message is not kept, since the subscribers have not come in time.
         self.gave_up: Callable[[], None] = lambda: None
+        #: Called now and then when a message is kept: some subscribers may have left.
+        self.look: Callable[[], None] = lambda: None
+        self._look_at = self._pause = 0.0
 
     def expect(self, due: Collection[str], size: int) -> None:
         """Keep the newest ``size`` messages from now on; 0 for no bound of the publisher's own.
@@ -76,7 +82,10 @@ class Backlog:
         """
         self.due = frozenset(due)
         self._missed = collections.deque(maxlen=size or _MOST)
-        self._deadline = self._clock() + LONGEST
+        now = self._clock()
+        self._deadline = now + LONGEST
+        self._pause = _FIRST_LOOK
+        self._look_at = now + self._pause
         self.open = bool(self.due)
 
     def widen(self, size: int) -> None:
@@ -94,6 +103,11 @@ class Backlog:
         if self.open:
             if self.waiting():
                 self._missed.append(message)
+                now = self._clock()
+                if now >= self._look_at:
+                    self._pause *= 2
+                    self._look_at = now + self._pause
+                    self.look()
             else:
                 self.gave_up()
 

@@ -84,6 +84,18 @@ def test_a_dead_subscriber_is_given_up():
     assert not backlog.waiting() and backlog.missed_by(ONE) == []
 
 
+def test_it_is_looked_now_and_then_whether_a_subscriber_has_left():
+    now = [100.0]
+    backlog, looks = Backlog(lambda: now[0]), []
+    backlog.look = lambda: looks.append(now[0] - 100.0)
+    backlog.keep("nobody is due")
+    backlog.expect([ONE], 10)
+    for _ in range(80):
+        backlog.keep(now[0])
+        now[0] += 0.125
+    assert looks == [0.5, 1.5, 3.5, 7.5]
+
+
 class Surroundings:
     """The master and two subscribers, and time that is moved by hand."""
 
@@ -239,9 +251,15 @@ class Graph:
         made.wait_for_all(PATIENCE - waited)
         return waited, self.now
 
+    def handles(self, *subscribers: str) -> OrdinaryHandles:
+        executor = ManualExecutor()
+        return OrdinaryHandles(
+            "/t", "http://here", str, executor, lambda *each: None, lambda topic: subscribers
+        )
+
     def announce(self, patience: float = PATIENCE) -> frozenset[str]:
         """Publish on a topic of both nodes; returns those that are expected after the wait."""
-        handles = OrdinaryHandles("/t", "http://here", str, ManualExecutor(), lambda *each: None)
+        handles = self.handles()
         intraprocess: Any = SimpleNamespace(publishing=lambda topic: handles)
         subscribers = lambda topic: frozenset((ONE, TWO))  # noqa: E731
         registrar: Any = SimpleNamespace(subscribers=subscribers, late=self.late)
@@ -295,6 +313,22 @@ def test_a_subscriber_that_hangs_is_waited_for_on_its_first_topic_alone(graph: G
     graph.now += 60.0
     graph.announce()
     assert graph.now == pytest.approx(60.0 + 2 * PATIENCE, abs=0.02)
+
+
+def test_what_was_published_while_a_subscriber_was_away_is_not_for_it(graph: Graph) -> None:
+    handles = graph.handles(TWO, THREE)
+    handles.adopt(mock.MagicMock(connections=[], latch=None, queue_size=1))
+    handles.expect([ONE, TWO])
+    handles.forget_left()
+    assert handles.backlog.due == {TWO}
+
+
+def test_a_subscriber_whose_address_is_not_known_now_is_expected(graph: Graph) -> None:
+    handles = graph.handles(TWO, "")
+    handles.adopt(mock.MagicMock(connections=[], latch=None, queue_size=1))
+    handles.expect([ONE, TWO])
+    handles.forget_left()
+    assert handles.backlog.due == {ONE, TWO}
 
 
 # Two threads that learn of a publisher at the same time
@@ -402,7 +436,7 @@ def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, monkey
         publish=lambda *message: False,
         outbound=lambda each, size: Outbound(each, size, None),
     )
-    names: Any = SimpleNamespace(node=str)
+    names: Any = SimpleNamespace(node=str, subscribers=set)
     notified = frozenset({ONE}) if is_new else None
     registrar: Any = SimpleNamespace(subscribers=lambda topic: notified, late=LateSubscribers())
     caplog.set_level(logging.INFO, "rospy.internal")

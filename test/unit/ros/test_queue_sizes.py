@@ -38,7 +38,7 @@ class Topic:
         self.implementation = rospy.topics._PublisherImpl("/t", String)
         self.executor = ManualExecutor()
         outbound = lambda each, size: Outbound(each, size, None)  # noqa: E731
-        self.handles = OrdinaryHandles("/t", "http://here", str, self.executor, outbound)
+        self.handles = OrdinaryHandles("/t", "http://here", str, self.executor, outbound, set)
         self.sockets: list[socket.socket] = []
         self.notified: frozenset[str] = frozenset()
         fake: Any = SimpleNamespace(Publisher=self._registered, resolve_name=str)
