@@ -225,14 +225,22 @@ class Screen:
 
 
 STDIO = "-"  # the name of standard input, or output, among files
+_LARGEST = 2**30  # bytes of a file; managers allow less, unless their limits were raised
 
 
 def read_file(path: str) -> bytes:
     """Read a file, or standard input."""
     try:
-        return sys.stdin.buffer.read() if path == STDIO else Path(path).read_bytes()
+        if path == STDIO:
+            data = sys.stdin.buffer.read(_LARGEST + 1)
+        else:
+            with open(path, "rb") as stream:
+                data = stream.read(_LARGEST + 1)
     except OSError as error:
         raise DyKnowError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(data) > _LARGEST:  # it may have no end, as /dev/zero
+        raise DyKnowError(f"{path}: is too large; expected at most {_LARGEST} bytes")
+    return data
 
 
 def write_file(path: str, data: bytes) -> None:

@@ -69,6 +69,16 @@ def test_a_file_is_on_disk_before_it_replaces_the_old_one(tmp_path, monkeypatch)
     assert (seen, file.read_bytes()) == ([(b"old", 5)], b"newer")
 
 
+@pytest.mark.parametrize("command", ["load /dev/zero", "load -", "import /dev/zero", "import -"])
+def test_a_file_without_an_end_is_refused(client, monkeypatch, command):
+    monkeypatch.setattr("dyknow.cli.output._LARGEST", 2**16)
+    with open("/dev/zero") as endless:
+        monkeypatch.setattr("sys.stdin", endless)
+        outcome = run(client, command)
+    assert outcome.code == 1
+    assert "is too large; expected at most 65536 bytes" in outcome.err
+
+
 def replace(file, old, new):
     file.write_text(file.read_text().replace(old, new))
 
