@@ -28,8 +28,8 @@ _DOUBLE = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
 )
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
-#: What XML, and so XML-RPC, has no way to write.
-_NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+#: What XML, and so XML-RPC, has no way to write; a carriage return comes out as a line feed.
+_NO_XML = re.compile("[\0-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
 #: What ends a document of YAML.
 _END = re.compile(r"\n(\.\.\.\n)?\Z")
 _BOOLS: dict[str, bool] = {"true": True, "1": True, "false": False, "0": False}

@@ -90,6 +90,8 @@ def test_any_name_can_stand_in_yaml(name):
         ("yaml", '{text: "bell \\a"}'),
         ("yaml", '["\\0"]'),
         ("yaml", '{"\\e": 1}'),
+        ("yaml", '"a\\r\\nb"'),
+        ("string", "a\r\nb"),
         ("string", "bell \a"),
         ("string", "half \ud800"),
     ],
