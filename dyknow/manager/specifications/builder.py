@@ -263,7 +263,7 @@ class Builder:
                 if datatype and not _DATATYPE.match(datatype):
                     expected = "expected a ROS type such as sensor_msgs/Image"
                     self._problem(port, f'datatype="{shorten(datatype)}": {expected}')
-                if port.get("rate") or port.get("latency"):
+                if not _STATED.keys().isdisjoint(port.attributes):
                     stated[name] = (self._stated("rate", port), self._stated("latency", port))
             if name in lines:
                 self._problem(
@@ -295,8 +295,8 @@ class Builder:
 
     def _stated(self, name: str, port: XmlNode) -> float:
         """Read a number that an out-port states; 0 if it does not."""
-        text = port.get(name)
-        if not text:
+        text = port.attributes.get(name)
+        if text is None:
             return 0.0
         if port.get("type") != OUT:
             self._problem(port, f"an in-port with a {name}; expected one of out-ports alone")
