@@ -89,6 +89,8 @@ def _spawn(arguments: argparse.Namespace, shell: Shell) -> None:
             peer, found = find_port(shell.client, resolved(shell, end))
             ends = (PortRef(name, port), own), (peer, found)
             end = meeting_topic(shell.client, *(ends if own.direction == OUT else ends[::-1]))
+            if any(each.port == peer and each.after != end for each in peers):
+                raise DuplicatePort(str(peer))
             peers.append(PortMove(peer, found.topic, end))
         config[port] = end
     request = SpawnRequest(

@@ -372,6 +372,28 @@ def test_stats(client):
     assert quiet["ports"] == [{**port, "transports": []}]
 
 
+def test_a_spawn_connects_two_out_ports_with_one_in_port_at_no_time(client):
+    """The second topic took the place of the first, which was shown as connected."""
+    client.world.host.sources["pkg/Two"] = [(name, "out", "sensor_msgs/Image") for name in "lr"]
+    client.core.add_transformation(
+        "<transformation><label>two</label><source>pkg/Two</source><ports>"
+        '<port type="out">l</port><port type="out">r</port></ports></transformation>'
+    )
+    client.world.spawn("relay", "relay")
+    play(
+        client,
+        """
+        $ spawn two pair --connect l:relay:in r:relay:in
+        dyknow: port '/relay:in' is named twice or more; expected one topic for each port
+        [1]
+        $ graph
+        (disconnected)
+            in   /relay:in
+            out  /relay:out
+        """,
+    )
+
+
 @pytest.mark.parametrize("option", ["", "--protected"])
 def test_a_spawn_that_cannot_be_connected_leaves_nothing(chain, monkeypatch, option):
     def refuse(moves):
