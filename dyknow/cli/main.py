@@ -120,7 +120,11 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     if not words[0].startswith("-") and words[0] not in COMMANDS:
         parser.error(f"there is no command '{words[0]}'{did_you_mean(words[0], COMMANDS)}")
     common = argparse.Namespace(json=False, timeout=None, manager_node=None)
-    arguments = parser.parse_args(words, common)
+    arguments, others = parser.parse_known_args(words, common)
+    if others:
+        chosen = parsers[arguments.command]
+        hint = did_you_mean(others[0], chosen._option_string_actions)
+        chosen.error(f"unrecognized arguments: {' '.join(others)}{hint}")
     try:
         arguments.manager_node = arguments.manager_node or default_manager()
     except argparse.ArgumentTypeError as error:
