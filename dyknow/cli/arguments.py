@@ -35,6 +35,13 @@ def _expected(text: str, what: str) -> argparse.ArgumentTypeError:
     return argparse.ArgumentTypeError(f"'{text}': expected {what}")
 
 
+def some_text(text: str) -> str:
+    """Read a text that is not empty, as that of a variable of the shell that is not set is."""
+    if not text:
+        raise _expected(text, "a value")
+    return text
+
+
 def graph_name(text: str) -> str:
     """Read the name of a nodelet, a topic or a node."""
     if text.startswith("~"):
@@ -141,21 +148,23 @@ REPEATED: Any = {"action": "append", "default": []}  # options of an option that
 #: How the values of a placeholder are read and completed, unless an argument says otherwise.
 KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "A:PORT": (port_reference, completion.ports),
-    "FILE": (None, completion.files),
-    "FORMULA": (None, completion.formulas),
+    "CODE": (some_text, None),
+    "FILE": (some_text, completion.files),
+    "FORMULA": (some_text, completion.formulas),
     "FROM": (port_or_topic, completion.stream_sources),
-    "HOST": (None, completion.hosts),
+    "HOST": (some_text, completion.hosts),
     "HZ": (lambda text: _above_zero(text, "Hz above 0, such as 10"), None),
     "ID": (None, completion.claims),
-    "LABEL": (None, completion.labels),
+    "LABEL": (some_text, completion.labels),
     "M": (graph_name, completion.nodelet_managers),
     "N": (positive, None),
     "NAME": (graph_name, completion.nodelets),
     "NAME=VALUE": (given_parameter, completion.parameters_of_label),
     "NS": (namespace, completion.namespaces),
-    "OWL": (None, completion.files),
+    "OWL": (some_text, completion.files),
     "PARAM": (None, completion.parameters_of_nodelet),
-    "PKG": (None, completion.packages),
+    "PATTERN": (some_text, None),
+    "PKG": (some_text, completion.packages),
     "PORT": (positive, None),
     "PORT:END": (port_and_end, completion.ports_of_label),
     "PORT=TAG": (assignment, None),
@@ -165,7 +174,9 @@ KINDS: Dict[str, Tuple[Optional[Callable[[str], Any]], Optional[Completer]]] = {
     "T": (graph_name, completion.topics),
     "TAG": (None, completion.tags),
     "TO": (port_or_topic, completion.stream_targets),
-    "XML": (None, completion.files),
+    "TOPIC": (some_text, None),
+    "TYPE": (some_text, None),
+    "XML": (some_text, completion.files),
 }
 
 

@@ -14,7 +14,7 @@ import time
 from typing import TYPE_CHECKING, Any, Iterable
 
 from dyknow.cli import completion
-from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
+from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none, some_text
 from dyknow.cli.output import event_json, stream_json
 from dyknow.cli.shell import FAILED, Shell, command
 from dyknow.errors import DyKnowError, ManagerUnreachable, StreamRefused
@@ -53,7 +53,7 @@ DEMAND = (
             "NAME",
             f"{what}: transformations by label, or concepts of their tags",
             completer=completion.labels,
-            type=str,
+            type=some_text,
             **SEVERAL,
         )
         for option, what in (

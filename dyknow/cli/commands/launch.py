@@ -28,7 +28,7 @@ _ROSLAUNCH = group(
     flag("--local", "do not start nodes of other machines"),
     flag("--wait", "wait for the master"),
     argument("-p --port", "PORT", "port of the master, if it starts one"),
-    argument("--pid", "FILE", "write its process id there", default=""),
+    argument("--pid", "FILE", "write its process id there", default="", type=str),
     argument("--run_id", "ID", "id of the run", completer=None),
     flag("-v --verbose", "say what is read"),
     flag("--no-summary", "no summary of roslaunch's"),
