@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from typing import Callable, Collection, Iterator, Mapping, Sequence
 
 from dyknow.datatypes import ANY, types_fit
-from dyknow.errors import FixedTopics, InvalidParameters
+from dyknow.errors import FixedTopics, InvalidParameters, UnknownPort
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
-from dyknow.model.graph import Model, NodeletStatus, SpawnRequest
+from dyknow.model.graph import Model, NodeletStatus, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation, Transformations
 from dyknow.wiring.wiring import Wiring
 
@@ -210,6 +210,7 @@ def _is_remade(
     if not replace or blueprint.node or not (is_replaced or outdated):
         if present.is_fixed and kept.moves:
             plan.problems.append(str(FixedTopics(nodelet.name, present.manager)))
+        plan.problems += _unknown_ports(kept)
         plan.kept.append(kept)
         return False
     if present.is_protected:
@@ -220,6 +221,16 @@ def _is_remade(
         return False
     plan.remade.append(kept)
     return True
+
+
+def _unknown_ports(kept: Kept) -> Iterator[str]:
+    """Find ports that a running nodelet does not have, nor an image port to which they belong."""
+    present = kept.present
+    known = {port.name for port in present.ports}
+    if present.state is State.RUNNING and present.kind.is_written_for_dyknow:
+        for port in kept.moves:
+            if known.isdisjoint((port, port.rpartition("/")[0])):
+                yield f"nodelet '{present.name}': {UnknownPort(port, known)}"
 
 
 def _otherwise_made(

@@ -212,9 +212,15 @@ def protected(client, file):
     client.world.spawn("camera", "cam", is_protected=True)
 
 
+def unknown_port(client, file):
+    client.world.spawn("camera", "cam")
+    replace(file, 'port="image" topic="/raw"', 'port="imag" topic="/raw"')
+
+
 @pytest.mark.parametrize(
     ("setting", "options", "said"),
     [
+        (unknown_port, "--dry-run", ["nodelet '/cam': unknown port 'imag'; known ports: image;"]),
         (
             all_wrong,
             "",
