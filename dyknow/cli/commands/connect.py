@@ -13,8 +13,8 @@ from dyknow import names
 from dyknow.cli.arguments import argument
 from dyknow.cli.output import Json, as_json, picked, state_of, unknown_nodelet
 from dyknow.cli.shell import Shell, command
-from dyknow.errors import FixedTopics, NodeletUnreachable, Refused
-from dyknow.model.graph import PortRef, PortState
+from dyknow.errors import FixedTopics, NodeletUnreachable, PeerTimeout, Refused
+from dyknow.model.graph import PortRef, PortState, State
 from dyknow.model.transformation import IN, OUT
 from dyknow.similar import did_you_mean
 from dyknow.wiring.ports import CannotConnect, by_name, check_ends, choose_topic
@@ -157,16 +157,7 @@ def find_port(client: ShellClient, reference: PortRef) -> tuple[PortRef, PortSta
         NodeletUnreachable: it does not answer.
     """
     name = reference.nodelet
-    try:
-        ports = {port.name: port for port in client.get_config(name)}
-    except NodeletUnreachable as silence:
-        model = client.get_graph()
-        shown = model.nodelet(name)
-        if shown is None:
-            raise CannotConnect(unknown_nodelet(name, model)) from None
-        if shown.is_fixed:
-            raise CannotConnect(str(FixedTopics(name, shown.manager))) from silence
-        raise NodeletUnreachable(f"{silence}; it is {state_of(shown)}") from silence
+    ports = _ports_of(client, name)
     if reference.port not in ports:
         shown = client.get_graph().nodelet(name)
         for port in shown.ports if shown else ():
@@ -180,6 +171,27 @@ def find_port(client: ShellClient, reference: PortRef) -> tuple[PortRef, PortSta
     raise CannotConnect(
         f"nodelet '{name}' has no port '{reference.port}'; its ports: {known}{hint}"
     )
+
+
+def _ports_of(client: ShellClient, name: str, again: bool = True) -> dict[str, PortState]:
+    """Return the ports of a nodelet; of one that is being restarted or moved, those in the model.
+
+    The manager waits for it. ``again`` asks a second time where it is back by then.
+    """
+    try:
+        return {port.name: port for port in client.get_config(name)}
+    except (NodeletUnreachable, Refused) as silence:
+        model = client.get_graph()
+        shown = model.nodelet(name)
+        if shown is None:
+            raise CannotConnect(unknown_nodelet(name, model)) from None
+        if shown.is_fixed:
+            raise CannotConnect(str(FixedTopics(name, shown.manager))) from silence
+        if shown.state is State.STARTING and shown.ports:
+            return {port.name: port for port in shown.ports}
+        if not again or isinstance(silence.__cause__, PeerTimeout):
+            raise NodeletUnreachable(f"{silence}; it is {state_of(shown)}") from silence
+    return _ports_of(client, name, again=False)
 
 
 def apply(client: ShellClient, wanted: Sequence[PortMove]) -> list[PortMove]:

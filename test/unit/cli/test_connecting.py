@@ -9,8 +9,8 @@ import pytest
 from unit.cli.fake_client import FakeClient, cases, play, run
 from unit.manager.world import World
 
-from dyknow.errors import HostError
-from dyknow.model.graph import PortRef
+from dyknow.errors import HostError, Refused
+from dyknow.model.graph import PortRef, State
 from dyknow_rqt.graph.snapshot import Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.graph.wiring import choose_topic
 
@@ -196,6 +196,26 @@ def test_ends_that_do_not_fit_are_named_before_anything_is_changed(pair, line, m
     assert outcome.code == 1
     assert message in outcome.err
     assert pair.calls == []
+
+
+@pytest.mark.parametrize("line", ["connect cam:image robot/relay:in", "disconnect cam:image"])
+def test_a_nodelet_that_is_being_restarted_is_connected_by_the_manager_which_waits(chain, line):
+    chain.hung.add("/cam")
+    chain.alter("/cam", state=State.STARTING)
+    assert run(chain, line).code == 0
+
+
+def test_a_nodelet_that_was_unloaded_and_is_back_is_asked_again(pair, monkeypatch):
+    """Its services of before refuse in the moment in which they end."""
+    ask, refusals = pair.get_config, [Refused("'/cam': nodelet /cam is unloaded")]
+
+    def get_config(name):
+        if refusals:
+            raise refusals.pop()
+        return ask(name)
+
+    monkeypatch.setattr(pair, "get_config", get_config)
+    assert run(pair, "connect cam:image robot/relay:in").code == 0
 
 
 @pytest.mark.parametrize(
