@@ -205,7 +205,7 @@ class StreamsPanel(Panel):
             )
             change = replan(stream.claim_id, stream.tag)
             self._line.ask(
-                f"Switch {stream.tag} to this plan, at a cost of {found.cost:g}?",
+                f"Switch {stream.tag} to this plan, at a cost of {found.cost:.0f}?",
                 "Replan",
                 lambda: self._monitor.do(change, lambda: self._show_way(stream.claim_id)),
             )

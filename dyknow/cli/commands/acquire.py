@@ -205,8 +205,8 @@ def _describe(claim: StreamStatus, answer: Acquisition | None = None) -> Iterabl
         yield f"  with {', '.join(claim.bindings)}"
     if answer is not None:
         is_proven = answer.cost <= answer.least_cost
-        how_good = "proven least" if is_proven else f"least possible: {answer.least_cost:g}"
-        yield f"  cost {answer.cost:g} ({how_good})"
+        how_good = "proven least" if is_proven else f"least possible: {answer.least_cost:.0f}"
+        yield f"  cost {answer.cost:.0f} ({how_good})"
     if place and claim.detail:
         yield f"  {claim.detail}"
     if claim.nodelets:

@@ -42,8 +42,8 @@ class Demand(NamedTuple):
     max_age: float = 0.0
 
     def __str__(self) -> str:
-        rate = f"at least {self.min_rate:g} Hz" if self.min_rate else ""
-        age = f"at most {self.max_age:g} s old" if self.max_age else ""
+        rate = f"at least {self.min_rate:.12g} Hz" if self.min_rate else ""
+        age = f"at most {self.max_age:.12g} s old" if self.max_age else ""
         return write_demand(map(str, self.tags), self.datatype, rate, age)
 
     def both(self, other: Demand) -> Demand:
@@ -174,7 +174,7 @@ class NoPlan(NamedTuple):
         if self.is_cut_short:
             return "the search reached its limit before it found one; a larger budget raises that"
         if self.latency:
-            return f"the soonest plan found takes {self.latency:g} s"
+            return f"the soonest plan found takes {self.latency:.12g} s"
         return "everything that supplies it needs it first"
 
     def __str__(self) -> str:

@@ -278,7 +278,7 @@ def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alik
         return f"a verdict that {_listed(labels)} requires is not TRUE"
     if cause == _RATE:
         fastest = max([head.port.rate for head in heads])
-        return f"it is stated at {fastest:g} Hz, below {request.demand.min_rate:g} Hz"
+        return f"it is stated at {fastest:.12g} Hz, below {request.demand.min_rate:.12g} Hz"
     if cause == _DATATYPE:
         datatypes = sorted({head.port.datatype for head in heads})
         return f"it is a {_listed(datatypes)}, not a {demand.pattern.datatype}"

@@ -219,6 +219,12 @@ def test_a_stream_is_held_until_ctrl_c(client):
     assert (outcome.code, claim.state.name) == (0, "RELEASED")
 
 
+def test_a_high_cost_is_written_in_full(client):
+    text = client.core.library.get("camera").to_xml().replace('cost="1"', 'cost="4000000001"')
+    client.core.add_transformation(text)
+    assert "  cost 4000000001 (proven least)" in run(client, f"{ACQUIRE} --lease 9").lines
+
+
 def test_changes_of_a_held_stream_are_printed(client):
     client.script = [
         lambda: client.world.manager.destroy("/camera_1"),

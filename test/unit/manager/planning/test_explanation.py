@@ -256,6 +256,8 @@ def test_a_rate_and_a_ros_type_are_named() -> None:
     assert slow == (
         "Image(nose) [at least 10 Hz] cannot be used: it is stated at 5 Hz, below 10 Hz"
     )
+    near = refused("Image(nose)", camera, min_rate=5.000001)
+    assert near.endswith("it is stated at 5 Hz, below 5.000001 Hz")
     other = refused("Image(nose)", camera, datatype="t/Two")
     assert other == "Image(nose) [t/Two] cannot be used: it is a t/One, not a t/Two"
 
