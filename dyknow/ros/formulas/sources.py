@@ -12,6 +12,7 @@ from typing import Any, Callable, Iterator, Mapping, NamedTuple
 import rospy
 
 from dyknow.formulas import Monitor, Verdict
+from dyknow.locks import state_lock
 from dyknow.ros.formulas.individuals import take_waiting
 from dyknow.ros.process.node_process import init_node
 
@@ -20,7 +21,7 @@ _PATIENCE = 0.1
 
 
 class Received(NamedTuple):
-    """A message of a port, of an individual, and when it was received."""
+    """A message of a port, of an individual, and when it was received; none without a port."""
 
     port: str
     individual: str
@@ -36,6 +37,7 @@ class LiveTopics:
         if not rospy.core.is_initialized():
             init_node("dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True)
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        self._state_lock = state_lock("messages of topics")
         #: The last message of each port, of an individual, that the monitor has not received.
         self._waiting: dict[tuple[str, str], Any] = {}
 
@@ -45,7 +47,8 @@ class LiveTopics:
         return rospy.Subscriber(topic, kind, partial(self._note, port, individual))
 
     def _note(self, port: str, individual: str, message: Any) -> None:
-        self._received.put(Received(port, individual, message, rospy.Time.now()))
+        with self._state_lock:  # between threads, too, times are in order: none is a jump back
+            self._received.put(Received(port, individual, message, rospy.Time.now()))
 
     def verdicts(
         self,
@@ -60,14 +63,14 @@ class LiveTopics:
         """
         while not is_over() and not rospy.is_shutdown():
             try:
-                received: Received | None = self._received.get(timeout=_PATIENCE)
+                received = self._received.get(timeout=_PATIENCE)
             except queue.Empty:
-                received = None
-            if received is not None:
+                self._note("", "", None)  # time passes
+                continue
+            if received.port:
                 self._waiting[received.port, received.individual] = received.message
             present = individuals()
-            now = rospy.Time.now() if received is None else received.when
-            if present is None or not now:  # ROS time has not begun
+            if present is None or not received.when:  # ROS time has not begun
                 continue
-            yield from take_waiting(monitor, self._waiting, present, now)
-            yield from monitor.advance(now)
+            yield from take_waiting(monitor, self._waiting, present, received.when)
+            yield from monitor.advance(received.when)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import random
+import threading
 from types import SimpleNamespace
 from typing import Any, Callable, List, Optional
 
@@ -197,6 +198,25 @@ def test_holds_keeps_messages_until_ros_time_begins(monkeypatch):
     live._note("f", "", PointStamped(header=Header(stamp=rospy.Time(100))))
     verdicts = live.verdicts(parse("present(f)").monitor(1.0), dict, lambda: False)
     assert [next(verdicts).value for _ in range(3)] == [1, 1, 1]
+
+
+def test_holds_takes_messages_of_several_threads_in_the_order_of_their_times(monkeypatch):
+    """A time before the last one, by more than a period, would begin a new sequence."""
+    monkeypatch.setattr(rospy.core, "is_initialized", lambda: True)
+    live = sources.LiveTopics()
+    second = threading.Thread(target=live._note, args=("f", "", Bool(True)))
+
+    def now():
+        if threading.current_thread() is second:
+            return rospy.Time(2)
+        second.start()
+        second.join(0.1)  # it does not end before this one
+        return rospy.Time(1)
+
+    monkeypatch.setattr(rospy.Time, "now", now)
+    live._note("f", "", Bool(True))
+    second.join()
+    assert [live._received.get().when.secs for _ in range(2)] == [1, 2]
 
 
 def test_what_is_acquired_after_the_end_is_released_at_once(around):
