@@ -60,7 +60,7 @@ def _checked(text: str, *kind: str) -> str:
 
 def manager_node(text: str) -> str:
     """Read the name of the manager's node; relative ones begin in ROS_NAMESPACE."""
-    return names.resolve(graph_name(text), os.environ.get("ROS_NAMESPACE") or "/", "/")
+    return names.resolve(graph_name(text), _of_environment("ROS_NAMESPACE", "/", namespace), "/")
 
 
 def default_manager() -> str:
@@ -69,10 +69,14 @@ def default_manager() -> str:
     Raises:
         argparse.ArgumentTypeError: the environment holds no name of a node.
     """
+    return manager_node(_of_environment("DYKNOW_MANAGER", DEFAULT_MANAGER, graph_name))
+
+
+def _of_environment(variable: str, default: str, read: Callable[[str], str]) -> str:
     try:
-        return manager_node(os.environ.get("DYKNOW_MANAGER") or DEFAULT_MANAGER)
+        return read(os.environ.get(variable) or default)
     except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"$DYKNOW_MANAGER: {error}") from error
+        raise argparse.ArgumentTypeError(f"${variable}: {error}") from error
 
 
 def namespace(text: str) -> str:

@@ -185,6 +185,11 @@ def test_the_manager_comes_from_the_environment(monkeypatch, capsys):
     assert parse(["list", "--manager-node", "/x"]).manager_node == "/x"
     monkeypatch.setenv("DYKNOW_MANAGER", "a b")
     assert "$DYKNOW_MANAGER: 'a b' is not a valid name" in refused(capsys, "list")
+    monkeypatch.delenv("DYKNOW_MANAGER")
+    monkeypatch.setenv("ROS_NAMESPACE", "~robot")
+    assert "dyknow: $ROS_NAMESPACE: '~robot' is a private name" in refused(capsys, "doctor")
+    monkeypatch.setenv("ROS_NAMESPACE", "robot/")
+    assert parse(["list", "--manager-node", "x"]).manager_node == "/robot/x"
 
 
 @pytest.mark.parametrize(
