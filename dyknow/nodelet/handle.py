@@ -259,7 +259,7 @@ class Service(Closable):
         if context.closed:  # its name may be that of another nodelet by now
             raise context.runtime.node.closed(f"nodelet {context.name}")
         self._offered = context.runtime.services.offer(
-            resolved_name, service_class, self._call, options
+            resolved_name, service_class, self._call, options, context.name
         )
         context.close_with(self)
 

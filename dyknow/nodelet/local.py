@@ -266,7 +266,12 @@ class LocalServices(middleware.Services):
         return self.handlers[service](request)
 
     def offer(
-        self, service: str, service_class: Any, handler: middleware.Handler, options: Any
+        self,
+        service: str,
+        service_class: Any,
+        handler: middleware.Handler,
+        options: Any,
+        owner: str,
     ) -> LocalService:
         assert_no_state_lock(f"offering {service}")
         self.handlers[service] = handler

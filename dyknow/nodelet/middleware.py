@@ -209,9 +209,12 @@ class Services(ABC):
 
     @abstractmethod
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: Options
+        self, service: str, service_class: Any, handler: Handler, options: Options, owner: str
     ) -> Closable:
-        """Offer a service under a global name; ``handler`` is called on any thread."""
+        """Offer a service of the nodelet ``owner`` under a global name.
+
+        ``handler`` is called on any thread.
+        """
 
 
 class Ticker(ABC):

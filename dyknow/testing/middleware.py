@@ -82,12 +82,17 @@ class HarnessServices(LocalServices):
     """The local services, whose handlers may return whatever rospy makes a response of."""
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
+        self,
+        service: str,
+        service_class: Any,
+        handler: Handler,
+        options: dict[str, Any],
+        owner: str,
     ) -> LocalService:
         def answer(request: Any) -> Any:
             return convert_return_to_response(handler(request), service_class._response_class)
 
-        return super().offer(service, service_class, answer, options)
+        return super().offer(service, service_class, answer, options, owner)
 
 
 class HarnessNode(LocalNode):

@@ -143,17 +143,27 @@ class RospyServices(Services):
     """Services, offered by rospy."""
 
     def offer(
-        self, service: str, service_class: Any, handler: Handler, options: dict[str, Any]
+        self,
+        service: str,
+        service_class: Any,
+        handler: Handler,
+        options: dict[str, Any],
+        owner: str,
     ) -> Closable:
         assert_no_state_lock(f"offering {service}")
-        return _Service(service, service_class, handler, options)
+        return _Service(service, service_class, handler, options, owner)
 
 
 class _Service(Closable):
     def __init__(
-        self, name: str, service_class: Any, handler: Handler, options: dict[str, Any]
+        self,
+        name: str,
+        service_class: Any,
+        handler: Handler,
+        options: dict[str, Any],
+        owner: str,
     ) -> None:
-        report = options.get("error_handler") or functools.partial(_log_failure, name)
+        report = options.get("error_handler") or functools.partial(_log_failure, name, owner)
 
         def failed(error: Any, error_type: Any, value: Any, trace: Any) -> None:
             report(error, error_type, value, trace)
@@ -182,7 +192,10 @@ def _answer(handler: Handler, request: Any) -> Any:
         raise RuntimeError(encodable(f"{type(error).__name__}: {text}")) from error
 
 
-def _log_failure(service: str, error: Any, error_type: Any, value: Any, trace: Any) -> None:
+def _log_failure(
+    service: str, owner: str, error: Any, error_type: Any, value: Any, trace: Any
+) -> None:
     """Log the exception of a handler; rospy's own entry does not name the service."""
-    text = "".join(traceback.format_exception(error_type, value, trace))
-    rospy.logerr("the handler of service %s raised: %s", service, encodable(f"{error}\n{text}"))
+    trace = "".join(traceback.format_exception(error_type, value, trace))
+    text, by = encodable(f"{error}\n{trace}"), {"nodelet": owner}
+    rospy.logerr("the handler of service %s raised: %s", service, text, extra=by)

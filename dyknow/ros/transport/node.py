@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import logging
 import math
 import threading
 import time
@@ -32,7 +33,7 @@ _LOGS = frozenset(
     f"log{level}{variant}"
     for level in ("debug", "info", "warn", "err", "fatal")
     for variant in ("", "_throttle", "_throttle_identical", "_once")
-)
+) | {"logout"}
 #: Functions of rospy whose first argument is ``param_name``.
 _OF_PARAMETERS = frozenset("get_param get_param_cached set_param has_param delete_param".split())
 #: Members that depend on neither names nor queues.
@@ -63,13 +64,26 @@ def _resolved(
     return function(*args, **kwds)
 
 
+class _NodeletLogger(logging.LoggerAdapter):  # type: ignore[type-arg] # generic from 3.11 on
+    """A logger whose lines are the nodelet's, and those of its children (``logger_name``) too."""
+
+    def getChild(self, suffix: str) -> _NodeletLogger:  # noqa: N802
+        return _NodeletLogger(self.logger.getChild(suffix), self.extra)
+
+    def process(self, msg: Any, kwargs: Any) -> tuple[Any, Any]:
+        return msg, {**kwargs, "extra": {**(kwargs.get("extra") or {}), **(self.extra or {})}}
+
+
 def own_logs(name: str) -> dict[str, Callable[..., Any]]:
     """Return rospy's functions for the log in a nodelet's name, with tables of their own.
 
-    They are rospy's code with other globals, and neither that nor a partial adds a frame: rospy
-    distinguishes call sites by their frames, in tables of what was said once or lately.
+    They are rospy's code with other globals, which adds no frame: rospy distinguishes call sites
+    by their frames, in tables of what was said once or lately.
     """
     space = dict(vars(rospy.core))
+    title = name.strip("/").replace("/", ".")
+    logger = _NodeletLogger(logging.getLogger(f"rosout.{title}"), {"nodelet": name})
+    space["logging"] = types.SimpleNamespace(getLogger=lambda root: logger)
     for table in ("_logging_throttle", "_logging_identical", "_logging_once"):
         space[table] = type(space[table])()
         for attribute, shared in vars(type(space[table])).items():
@@ -79,8 +93,7 @@ def own_logs(name: str) -> dict[str, Callable[..., Any]]:
         space[each] = types.FunctionType(
             space[each].__code__, space, each, space[each].__defaults__
         )
-    title = name.strip("/").replace("/", ".")
-    return {each: functools.partial(space[each], logger_name=title) for each in _LOGS}
+    return {each: space[each] for each in _LOGS}
 
 
 def _resolve_service(handle: Any, name: str) -> str:

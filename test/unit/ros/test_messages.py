@@ -42,6 +42,7 @@ from dyknow.nodelet.texts import LONGEST, sendable
 from dyknow.ros.nodelets import nodelet_manager
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.transport.middleware import RospyServices
+from dyknow.ros.transport.node import own_logs
 from dyknow.ros.wire import messages
 from dyknow.ros.wire.model_messages import ModelMessages
 
@@ -243,13 +244,23 @@ def test_a_handler_that_raises_answers(monkeypatch: Any, raised: Exception, expe
     def handler(request: Any) -> Any:
         raise raised
 
-    RospyServices().offer("/n/act", object, handler, {})
+    RospyServices().offer("/n/act", object, handler, {}, "/n")
     with pytest.raises(Exception, match="") as caught:
         offered[0](None)
     assert encoded(caught.value) == expected
     is_service_error = isinstance(raised, rospy.ServiceException)
     assert isinstance(caught.value, rospy.ServiceException) is is_service_error
     assert raised in (caught.value, caught.value.__cause__)
+
+
+def test_an_error_of_a_service_is_logged_in_the_name_of_its_nodelet(monkeypatch, caplog):
+    offered: dict[str, Any] = {}
+    monkeypatch.setattr(rospy, "Service", lambda *args, **options: offered.update(options))
+    RospyServices().offer("/n/act", object, print, {}, "/n")
+    error = ValueError(HALF)
+    offered["error_handler"](error, ValueError, error, None)
+    assert [line.nodelet for line in caplog.records] == ["/n"]
+    assert "the handler of service /n/act raised: unknown command ?" in caplog.text
 
 
 def test_a_line_of_the_log() -> None:
@@ -268,3 +279,17 @@ def test_an_error_of_a_callback_is_logged_in_the_name_of_its_nodelet(caplog, mon
     topics = {context.name: ["/in"]}
     NodeletLog(topics.get).emit(caplog.records[-1])
     assert [(line.name, line.topics) for line in lines] == [(context.name, ["/in"])]
+
+
+def test_a_line_with_a_logger_of_its_own_is_in_the_name_of_its_nodelet(caplog):
+    caplog.set_level(logging.INFO, "rosout")
+    logs = own_logs("/robot/n")
+    logs["logwarn"]("plain")
+    logs["logout"]("under its old name")
+    logs["logwarn"]("in %s", "detail", logger_name="detail", extra={"more": 1})
+    assert [(line.name, line.nodelet, line.getMessage()) for line in caplog.records] == [
+        ("rosout.robot.n", "/robot/n", "plain"),
+        ("rosout.robot.n", "/robot/n", "under its old name"),
+        ("rosout.robot.n.detail", "/robot/n", "in detail"),
+    ]
+    assert caplog.records[-1].more == 1
