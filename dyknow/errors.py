@@ -51,8 +51,8 @@ class DyKnowError(Exception):
     """Root of all exceptions that DyKnow raises on purpose."""
 
 
-class InvalidName(DyKnowError):
-    """A string that should be a ROS graph name is not one."""
+class InvalidName(DyKnowError, ValueError):
+    """A string that should be a ROS graph name is not one; rospy raises ValueError too."""
 
     def __init__(self, name: str, what: str = "name") -> None:
         self.name = name

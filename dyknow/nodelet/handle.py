@@ -189,9 +189,11 @@ class PlainNodeHandle:
         """Whether the nodelet is unloaded or the process ends."""
         return self.context.closed or self.context.runtime.node.is_shutdown()
 
-    def on_shutdown(self, hook: Callable[[], None]) -> None:
-        """Call ``hook`` when the nodelet is unloaded."""
-        self.context.shutdown_hooks.append(hook)
+    def on_shutdown(self, h: Callable[[], None]) -> None:
+        """Call ``h`` when the nodelet is unloaded."""
+        if not callable(h):
+            raise TypeError(f"on_shutdown expects a function, not {h!r}")
+        self.context.shutdown_hooks.append(h)
 
     def signal_shutdown(self, reason: str = "") -> None:
         """Unload this nodelet; its neighbours and the process go on."""

@@ -91,8 +91,9 @@ class TestNames:
     def test_that_name_no_topic_are_refused(self, world, name):
         nh = world.handle()
         for make in (nh.Publisher, nh.Subscriber):
-            with pytest.raises(InvalidName):
+            with pytest.raises(InvalidName) as caught:
                 make(name, Message)
+            assert isinstance(caught.value, ValueError)
         assert world.registrations == []
 
     def test_of_the_load_request_go_before_those_of_the_process(self, world):
@@ -116,6 +117,12 @@ def test_parameters_and_other_members_are_the_middlewares(world):
     with pytest.raises(AttributeError, match="nonsense"):
         nh.nonsense  # noqa: B018
     assert not hasattr(nh, "__nonsense__")
+
+
+def test_a_shutdown_hook_is_a_function(world):
+    for hook in (None, 3):
+        with pytest.raises(TypeError, match=f"on_shutdown expects a function, not {hook}"):
+            world.handle().on_shutdown(h=hook)
 
 
 class TestCallbacks:
