@@ -76,15 +76,18 @@ class ApiTest(NodeletManagerCase):
     def test_waits_for_services(self):
         self.manager.load("Fragile", "/robot/server")
         self.assertEqual(self.do("echo_by_proxy", "server/obey", 5), 5)
+        for wait in ("wait_for_service", "wait_by_proxy"):
+            self.ends_with_the_nodelet(wait)
+            self.manager.load("Features", "/robot/n")
+
+    def ends_with_the_nodelet(self, wait):
         answers = []
-        thread = threading.Thread(
-            target=lambda: answers.append(self.do("wait_for_service", "/nowhere"))
-        )
+        thread = threading.Thread(target=lambda: answers.append(self.do(wait, f"/{wait}")))
         thread.start()
-        self.manager.wait_for("/robot/n waits for /nowhere")
+        self.manager.wait_for(f"/robot/n waits for /{wait}")
         self.manager.unload("/robot/n")
         thread.join(5.0 * BUSY)
-        self.assertEqual(answers, ["service '/nowhere': nodelet /robot/n was unloaded"])
+        self.assertEqual(answers, [f"service '/{wait}': nodelet /robot/n was unloaded"])
 
     def test_throttle_and_once_count_for_each_place_in_the_code(self):
         with Heard("/rosout", Log) as lines:

@@ -300,7 +300,7 @@ class StandaloneTest(CommandCase):
         process.wait_for("loaded nodelet /robot/alone")
         description = call("/robot/alone", "describe")
         self.assertEqual(description["name"], "/robot/alone")
-        self.assertEqual(description["argv"], ["one", "two"])
+        self.assertEqual([description["argv"], description["myargv"]], [["one", "two"]] * 2)
         self.assertEqual(call("/robot/alone", "resolve", "topic"), "/by_node")
         self.assertEqual(call("/robot/alone", "resolve", "~topic"), "/robot/mine")
         self.assertEqual(rospy.get_param("/robot/alone/answer"), 42)

@@ -9,6 +9,7 @@ import contextlib
 import functools
 import logging
 import math
+import sys
 import threading
 import time
 import types
@@ -44,7 +45,7 @@ _PLAIN = frozenset(
     ROSInternalException ROSTimeMovedBackwardsException ServiceException
     TransportException TransportInitError TransportTerminated exceptions
     get_published_topics get_param_names get_node_uri get_ros_root get_master MasterProxy
-    parse_rosrpc_uri myargv""".split()
+    parse_rosrpc_uri""".split()
 )
 _REFUSED = {
     "init_node": "the nodelet manager is a node already; drop the call",
@@ -100,6 +101,12 @@ def _resolve_service(handle: Any, name: str) -> str:
     return str(handle.resolve_name(names.check(name, "service name")))
 
 
+def _service_proxy(handle: Any, name: str, *args: Any, **kwds: Any) -> Any:
+    proxy = rospy.ServiceProxy(_resolve_service(handle, name), *args, **kwds)
+    proxy.wait_for_service = functools.partial(_wait_until_offered, handle, proxy.resolved_name)
+    return proxy
+
+
 def _search_param(handle: Any, param_name: str) -> Any:
     try:
         return Master(handle.get_name()).ask("searchParam", param_name) or None
@@ -119,8 +126,11 @@ def is_offered_within(service: str, seconds: float) -> bool:
 
 
 def _wait_for_service(handle: Any, service: str, timeout: Any = None) -> None:
+    _wait_until_offered(handle, _resolve_service(handle, service), timeout)
+
+
+def _wait_until_offered(handle: Any, name: str, timeout: Any = None) -> None:
     """Wait as ``rospy.wait_for_service`` does, until the nodelet is unloaded at most."""
-    name = _resolve_service(handle, service)
     patience = timeout.to_sec() if hasattr(timeout, "to_sec") else timeout
     left = math.inf if patience is None else patience
     end = time.monotonic() + left
@@ -171,12 +181,14 @@ class RospyNode(Node):
             function = getattr(rospy, name)
             return functools.partial(_resolved, function, "param_name", handle.resolve_name)
         if name == "ServiceProxy":
-            resolve = functools.partial(_resolve_service, handle)
-            return functools.partial(_resolved, rospy.ServiceProxy, "name", resolve)
+            return functools.partial(_service_proxy, handle)
         if name == "search_param":
             return functools.partial(_search_param, handle)
         if name == "wait_for_service":
             return functools.partial(_wait_for_service, handle)
+        if name == "myargv":
+            own = [sys.argv[0], *handle.context.my_argv]
+            return lambda argv=None: rospy.myargv(own if argv is None else argv)
         if name in _PLAIN:
             return getattr(rospy, name)
         reason = _REFUSED.get(name, "rospy has no such thing for nodelets")

@@ -27,6 +27,7 @@ class Introspector(Puppet):
             "get_name": self.nh.get_name(),
             "namespace": self.nh.get_namespace(),
             "argv": self.my_argv,
+            "myargv": self.nh.myargv()[1:],
             "names": {
                 label: [handle.resolve_name(name) for name in ("topic", "/topic", "~topic")]
                 for label, handle in handles.items()
@@ -74,8 +75,16 @@ class Features(Puppet):
 
     def wait_for_service(self, service):
         rospy.loginfo("%s waits for %s", self.name, service)
+        return self.interrupted(self.nh.wait_for_service, service)
+
+    def wait_by_proxy(self, service):
+        proxy = self.nh.ServiceProxy(service, Echo)
+        rospy.loginfo("%s waits for %s", self.name, service)
+        return self.interrupted(proxy.wait_for_service)
+
+    def interrupted(self, wait, *args):
         try:
-            self.nh.wait_for_service(service)
+            wait(*args)
         except rospy.ROSInterruptException as error:
             return str(error)
         return ""
