@@ -9,6 +9,7 @@ derived from it, the one of ``dyknow.proxy`` declares ports.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from typing import Any, Callable
@@ -118,14 +119,16 @@ class PlainNodeHandle:
         """
         if timeout is not None:
             timeout = max(0.0, self.context.runtime.timers.ticker.seconds_of(timeout))
-        inbox = Inbox(self.context)
-        subscriber = self._make_subscriber(
-            topic, topic_type, inbox.put, None, 1, overlaps=True, at_once=True
-        )
+        inbox, subscriber = Inbox(self.context), None
         try:
+            with contextlib.suppress(HandleClosed):  # it was unloaded, which ends the wait at once
+                subscriber = self._make_subscriber(
+                    topic, topic_type, inbox.put, None, 1, overlaps=True, at_once=True
+                )
             return inbox.get(f"a message {self._place} '{topic}'", timeout)
         finally:
-            subscriber.unregister()
+            if subscriber is not None:
+                subscriber.unregister()
 
     # On topics here, and on ports in ``dyknow.proxy``.
 
@@ -190,10 +193,13 @@ class PlainNodeHandle:
         return self.context.closed or self.context.runtime.node.is_shutdown()
 
     def on_shutdown(self, h: Callable[[], None]) -> None:
-        """Call ``h`` when the nodelet is unloaded."""
+        """Call ``h`` when the nodelet is unloaded, or at once if it is."""
         if not callable(h):
             raise TypeError(f"on_shutdown expects a function, not {h!r}")
-        self.context.shutdown_hooks.append(h)
+        if self.context.closed:
+            h()
+        else:
+            self.context.shutdown_hooks.append(h)
 
     def signal_shutdown(self, reason: str = "") -> None:
         """Unload this nodelet; its neighbours and the process go on."""

@@ -175,6 +175,9 @@ class TestWaitForMessage:
         nh.context.close()
         join(thread)
         assert raised.is_set()
+        for timeout in (None, 0.0):  # and so do waits that begin afterwards
+            with pytest.raises(DyKnowError, match="'t': nodelet /waiting was unloaded"):
+                nh.wait_for_message("t", Message, timeout)
         assert pool.registrations == []
 
     @pytest.mark.parametrize("timeout", [0, -0.1, SimpleNamespace(to_sec=lambda: 0.0)])
@@ -210,6 +213,9 @@ class TestLife:
                 make("t", Message)
         assert world.registrations == []
         assert nh.is_shutdown() and not staying.is_shutdown()
+        called = []
+        nh.on_shutdown(lambda: called.append("late"))
+        assert called == ["late"]
 
     def test_a_handle_that_is_refused_or_made_amid_the_unload_leaves_nothing(self, world):
         nh, publisher = world.handle(), world.publisher("/alive")
