@@ -39,7 +39,7 @@ _LOGS = frozenset(
 _OF_PARAMETERS = frozenset("get_param get_param_cached set_param has_param delete_param".split())
 #: Members that depend on neither names nor queues.
 _PLAIN = frozenset(
-    """Time Duration Rate sleep get_time get_rostime Header
+    """Time Duration get_time get_rostime Header
     DEBUG INFO WARN ERROR FATAL AnyMsg Message SubscribeListener
     ROSException ROSInitException ROSInterruptException ROSSerializationException
     ROSInternalException ROSTimeMovedBackwardsException ServiceException
@@ -95,6 +95,19 @@ def own_logs(name: str) -> dict[str, Callable[..., Any]]:
             space[each].__code__, space, each, space[each].__defaults__
         )
     return {each: space[each] for each in _LOGS}
+
+
+def _own_timing(handle: Any) -> dict[str, Any]:
+    """Return rospy's ``sleep`` and ``Rate``; their waits for simulated time end with the nodelet.
+
+    They are rospy's code with other globals.
+    """
+    core = types.SimpleNamespace(is_shutdown=handle.is_shutdown)
+    space = dict(vars(rospy.timer))
+    space["rospy"] = types.SimpleNamespace(**{**vars(rospy), "core": core})
+    space["sleep"] = types.FunctionType(rospy.sleep.__code__, space, "sleep")
+    sleep = types.FunctionType(rospy.Rate.sleep.__code__, space, "sleep")
+    return {"sleep": space["sleep"], "Rate": type("Rate", (rospy.Rate,), {"sleep": sleep})}
 
 
 def _resolve_service(handle: Any, name: str) -> str:
@@ -186,6 +199,8 @@ class RospyNode(Node):
             return functools.partial(_search_param, handle)
         if name == "wait_for_service":
             return functools.partial(_wait_for_service, handle)
+        if name in ("Rate", "sleep"):
+            return _own_timing(handle)[name]
         if name == "myargv":
             own = [sys.argv[0], *handle.context.my_argv]
             return lambda argv=None: rospy.myargv(own if argv is None else argv)

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
+from types import SimpleNamespace
 from typing import List
 
 import genpy
@@ -17,9 +19,22 @@ from unit.nodelet.fakes import World
 
 from dyknow.nodelet.timers import TimerQueue
 from dyknow.ros.nodelets.peer_services import machine_message
-from dyknow.ros.transport.node import ClockTicker, SteadyTicker, make_ticker
+from dyknow.ros.transport.node import ClockTicker, RospyNode, SteadyTicker, make_ticker
 from dyknow.ros.wire import poll_client
 from dyknow.ros.wire.poll_client import OffsetMeter
+
+
+def test_an_unloaded_nodelet_waits_no_longer_for_simulated_time(monkeypatch):
+    now = itertools.count(1)
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
+    monkeypatch.setattr(rospy.rostime, "get_rostime", lambda: Time(next(now)))
+    handle = SimpleNamespace(is_shutdown=lambda: True)
+    rate = RospyNode().member("Rate", handle)(0.1)
+    for wait in (lambda: RospyNode().member("sleep", handle)(9.0), rate.sleep):
+        with pytest.raises(rospy.ROSInterruptException, match="shutdown"):
+            wait()
+    assert isinstance(rate, rospy.Rate)
+
 
 # Timers with /use_sim_time, from before the first message on /clock
 
