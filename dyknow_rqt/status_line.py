@@ -79,6 +79,7 @@ class StatusLine(QWidget):
         self._text.setTextInteractionFlags(Qt.TextSelectableByMouse | Qt.TextSelectableByKeyboard)
         self._text.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Preferred)
         self.contact = QLabel(textFormat=Qt.PlainText, accessibleName="Contact with the manager")
+        self.contact.setMinimumWidth(1)  # or a long text would keep the window wide
         self.yes = QPushButton(clicked=self._confirm)
         self.no = QPushButton("Cancel", clicked=self.clear)
         self.dismiss = QPushButton("Dismiss", clicked=self.clear)

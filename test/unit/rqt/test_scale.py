@@ -273,6 +273,8 @@ def test_a_fresh_rqt_shows_the_graph_and_puts_all_else_away(qtbot, window):
     view, bar = window.graph.view, window.graph.bar
     until(qtbot, lambda: view.width() * view.height() >= 0.6 * 600 * 450)
     assert not window.tabs.isVisible()
+    window.monitor.heart.told.disconnect(window.line.show_status)
+    window.line.contact.setText("/dyknow_manager has not answered for a long time " * 3)
     window.resize(320, 240)
     assert window.width() < 400 and view.isVisible()
     button = bar.findChild(QToolButton, "qt_toolbar_ext_button")
