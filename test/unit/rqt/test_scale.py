@@ -275,6 +275,8 @@ def test_a_fresh_rqt_shows_the_graph_and_puts_all_else_away(qtbot, window):
     assert not window.tabs.isVisible()
     window.monitor.heart.told.disconnect(window.line.show_status)
     window.line.contact.setText("/dyknow_manager has not answered for a long time " * 3)
+    assert window.line.minimumSizeHint().width() < 400
+    until(qtbot, lambda: window.minimumWidth() < 400)
     window.resize(320, 240)
     assert window.width() < 400 and view.isVisible()
     button = bar.findChild(QToolButton, "qt_toolbar_ext_button")
