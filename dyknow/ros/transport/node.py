@@ -97,12 +97,18 @@ def own_logs(name: str) -> dict[str, Callable[..., Any]]:
     return {each: space[each] for each in _LOGS}
 
 
-def _own_timing(handle: Any) -> dict[str, Any]:
+def _own_timing(context: Any) -> dict[str, Any]:
     """Return rospy's ``sleep`` and ``Rate``; their waits for simulated time end with the nodelet.
 
-    They are rospy's code with other globals.
+    They are rospy's code with other globals, and do not keep the context.
     """
-    core = types.SimpleNamespace(is_shutdown=handle.is_shutdown)
+    nodelet = weakref.ref(context)
+
+    def is_shutdown() -> bool:
+        living = nodelet()
+        return living is None or living.closed or rospy.is_shutdown()
+
+    core = types.SimpleNamespace(is_shutdown=is_shutdown)
     space = dict(vars(rospy.timer))
     space["rospy"] = types.SimpleNamespace(**{**vars(rospy), "core": core})
     space["sleep"] = types.FunctionType(rospy.sleep.__code__, space, "sleep")
@@ -176,7 +182,8 @@ class RospyNode(Node):
     timed_out = MessageTimeout
 
     def __init__(self) -> None:
-        self._logs: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
+        #: Members that a nodelet has of its own, by its context.
+        self._own: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
 
     def is_shutdown(self) -> bool:
         return bool(rospy.is_shutdown())
@@ -185,11 +192,12 @@ class RospyNode(Node):
         return str(rospy.resolve_name(name))
 
     def member(self, name: str, handle: Any) -> Any:
-        if name in _LOGS:
-            logs = self._logs.get(handle.context)
-            if logs is None:
-                logs = self._logs.setdefault(handle.context, own_logs(handle.get_name()))
-            return logs[name]
+        if name in _LOGS or name in ("Rate", "sleep"):
+            own = self._own.get(handle.context)
+            if own is None:
+                made = {**own_logs(handle.get_name()), **_own_timing(handle.context)}
+                own = self._own.setdefault(handle.context, made)
+            return own[name]
         if name in _OF_PARAMETERS:
             function = getattr(rospy, name)
             return functools.partial(_resolved, function, "param_name", handle.resolve_name)
@@ -199,11 +207,9 @@ class RospyNode(Node):
             return functools.partial(_search_param, handle)
         if name == "wait_for_service":
             return functools.partial(_wait_for_service, handle)
-        if name in ("Rate", "sleep"):
-            return _own_timing(handle)[name]
         if name == "myargv":
-            own = [sys.argv[0], *handle.context.my_argv]
-            return lambda argv=None: rospy.myargv(own if argv is None else argv)
+            words = [sys.argv[0], *handle.context.my_argv]
+            return lambda argv=None: rospy.myargv(words if argv is None else argv)
         if name in _PLAIN:
             return getattr(rospy, name)
         reason = _REFUSED.get(name, "rospy has no such thing for nodelets")

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import time
-from types import SimpleNamespace
+import weakref
 from typing import List
 
 import genpy
@@ -28,12 +29,18 @@ def test_an_unloaded_nodelet_waits_no_longer_for_simulated_time(monkeypatch):
     now = itertools.count(1)
     monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: False)
     monkeypatch.setattr(rospy.rostime, "get_rostime", lambda: Time(next(now)))
-    handle = SimpleNamespace(is_shutdown=lambda: True)
-    rate = RospyNode().member("Rate", handle)(0.1)
-    for wait in (lambda: RospyNode().member("sleep", handle)(9.0), rate.sleep):
+    world = World()
+    world.runtime.node = RospyNode()
+    handle = world.handle()
+    rate, context = handle.Rate(0.1), weakref.ref(handle.context)
+    assert isinstance(rate, rospy.Rate) and isinstance(rate, handle.Rate)
+    handle.context.close()
+    for wait, *seconds in ((handle.sleep, 9.0), (rate.sleep,)):
         with pytest.raises(rospy.ROSInterruptException, match="shutdown"):
-            wait()
-    assert isinstance(rate, rospy.Rate)
+            wait(*seconds)
+    del handle
+    gc.collect()
+    assert context() is None
 
 
 # Timers with /use_sim_time, from before the first message on /clock
