@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tools import performance
 
 
@@ -27,25 +29,27 @@ def test_the_targets_of_all_measurements_are_in_one_table(tmp_path, monkeypatch)
     ]
 
 
-def test_a_table_has_the_columns_that_its_mark_names(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("mark", "results", "table"),
+    [
+        pytest.param(
+            "images/images p99_us payload",
+            "payload,hops,p99_us\ntime,50,1.5\n",
+            ["| p99 us | payload |", "| --- | --- |", "| 1.5 | time |"],
+            id="of the columns that the mark names",
+        ),
+        pytest.param(
+            "chain/figure4 kind hops mean_us",
+            "kind,hops,mean_us\na,1,500\na,2,1500\n",
+            ["| mean (ms) | 1 | 2 |", "| --- | --- | --- |", "| `a` | 0.500 | 1.500 |"],
+            id="crossed",
+        ),
+    ],
+)
+def test_a_table_is_made_of_a_file(mark, results, table, tmp_path, monkeypatch):
     monkeypatch.setattr(performance, "RESULTS", tmp_path)
-    (tmp_path / "images").mkdir()
-    (tmp_path / "images" / "images.csv").write_text("payload,hops,p99_us\ntime,50,1.5\n")
-    text = "<!-- begin images/images p99_us payload -->\nold\n<!-- end -->"
-    assert performance.MARKED.sub(performance.filled, text).splitlines()[2:-2] == [
-        "| p99 us | payload |",
-        "| --- | --- |",
-        "| 1.5 | time |",
-    ]
-
-
-def test_a_table_is_crossed_where_a_file_has_a_line_for_each_pair(tmp_path, monkeypatch):
-    monkeypatch.setattr(performance, "RESULTS", tmp_path)
-    (tmp_path / "chain").mkdir()
-    (tmp_path / "chain" / "figure4.csv").write_text("kind,hops,mean_us\na,1,500\na,2,1500\n")
-    text = "<!-- begin chain/figure4 kind hops mean_us -->\nold\n<!-- end -->"
-    assert performance.MARKED.sub(performance.filled, text).splitlines()[2:-2] == [
-        "| mean (ms) | 1 | 2 |",
-        "| --- | --- | --- |",
-        "| `a` | 0.500 | 1.500 |",
-    ]
+    file = tmp_path / f"{mark.split()[0]}.csv"
+    file.parent.mkdir()
+    file.write_text(results)
+    text = f"<!-- begin {mark} -->\nold\n<!-- end -->"
+    assert performance.MARKED.sub(performance.filled, text).splitlines()[2:-2] == table
