@@ -88,6 +88,7 @@ private:
 
   // Guarded by the lock of the subscription.
   State state_;
+  bool meets_own_ = false;  ///< during a change: an out-port of the nodelet comes to its topic, or leaves it
   std::uint32_t queued_ = 0;  ///< messages that wait
   std::list<QueuedMessage> held_;
   boost::weak_ptr<ros::MessageDeserializer> last_;  ///< of the message that came last

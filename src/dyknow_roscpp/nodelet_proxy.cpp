@@ -39,15 +39,20 @@ public:
     }
   }
 
-  void add(const std::shared_ptr<End>& end, const std::string& topic, Clock::time_point deadline)
+  void add(const std::shared_ptr<End>& end, const std::string& topic, Clock::time_point deadline,
+           const OutTopics& outs)
   {
-    ends_.push_back(end);  // first: it may have registered when it raises
-    end->prepare(topic, deadline);
+    ends_.insert(ends_.begin(), end);  // first: it may have registered when it raises
+    end->prepare(topic, deadline, outs);
   }
 
   void commit(const Announcement& announce)
   {
     bool is_announced = false;
+    for (const auto& end : ends_)
+    {
+      end->makeWay();
+    }
     for (const auto& end : ends_)
     {
       is_announced = end->commit(announce) || is_announced;
@@ -60,7 +65,7 @@ public:
   }
 
 private:
-  std::vector<std::shared_ptr<End>> ends_;
+  std::vector<std::shared_ptr<End>> ends_;  ///< the last one that was added comes first
 };
 
 }  // namespace
@@ -405,8 +410,17 @@ void NodeletProxy::apply(std::vector<Change> changes)
   const auto deadline = Clock::now() + PEERS_PATIENCE;
   Preparation preparation;
   std::vector<std::shared_ptr<End>> prepared;
-  // Publications first: their subscribers connect meanwhile.
-  for (const auto direction : {Direction::OUT, Direction::IN})
+  OutTopics outs;
+  for (const auto& change : changes)
+  {
+    if (change.port->direction == Direction::OUT && change.port->topic() != change.topic)
+    {
+      outs.left.insert(change.port->topic());
+      outs.come.insert(change.topic);
+    }
+  }
+  // Subscriptions first, which then know what not to hear; publications are committed before them.
+  for (const auto direction : {Direction::IN, Direction::OUT})
   {
     for (const auto& change : changes)
     {
@@ -418,7 +432,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
       {
         try
         {
-          preparation.add(end, change.topic, deadline);
+          preparation.add(end, change.topic, deadline, outs);
         }
         catch (const std::runtime_error& error)  // of roscpp, or a Refusal
         {
@@ -466,7 +480,7 @@ void NodeletProxy::followPorts(const std::vector<Change>& changes)
       {
         try
         {
-          end->prepare(change.topic, Clock::now() + PEERS_PATIENCE);
+          end->prepare(change.topic, Clock::now() + PEERS_PATIENCE, {});
           end->commit([] {});
         }
         catch (const std::exception& error)  // the others have moved, and stay

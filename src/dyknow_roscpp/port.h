@@ -8,6 +8,7 @@
 #include <atomic>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,13 @@ enum class Direction
   OUT
 };
 
+/// Where the out-ports of a change are, which its in-ports must not hear there.
+struct OutTopics
+{
+  std::set<std::string> left;  ///< until the change
+  std::set<std::string> come;  ///< from the change on
+};
+
 /// The object behind a handle of roscpp (ros::Publisher, ros::Subscriber), which moves with its port.
 ///
 /// A move is prepared, then either committed or cancelled. One thread moves an end at a time; its node may
@@ -33,11 +41,14 @@ public:
   virtual ~End() = default;
 
   /// Registers on a topic (empty: on none) beside the present one. Raises an exception if that fails.
-  virtual void prepare(const std::string& topic, Clock::time_point deadline) = 0;
+  virtual void prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs) = 0;
 
   /// Whether the peers that the master knows are connected to the prepared end. The old topic of a
   /// subscription is live until the new one is.
   virtual bool isReady() const { return true; }
+
+  /// An in-port closes its connection to a topic that out-ports of the change come to; before they are committed.
+  virtual void makeWay() {}
 
   /// @param announce called when the node may be notified: at the switch, before the first new message
   ///   is queued

@@ -193,7 +193,7 @@ std::size_t PortPublication::subscribers() const
          (next.empty() || next == now ? 0 : topics::subscribers(next));
 }
 
-void PortPublication::prepare(const std::string& topic, Clock::time_point deadline)
+void PortPublication::prepare(const std::string& topic, Clock::time_point deadline, const OutTopics&)
 {
   RegistrationPtr registration;
   {

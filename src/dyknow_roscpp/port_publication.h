@@ -70,6 +70,9 @@ public:
   /// lazy nodelet would go on working for no subscriber. The node hears of no links that come later.
   void disconnectAll();
 
+  /// The owner of the registration whose latched message this thread sends; null: it sends none.
+  static const std::string* latchedBy();
+
   /// Whether the subscribers have connected that the master knew when the process advertised the topic.
   bool isHeardByAll() const;
 
@@ -77,11 +80,13 @@ public:
   bool isHeardOutside() const;
 
 private:
+  void pushLatched(const ros::SubscriberLinkPtr& link) const;
   void connected(const ros::SubscriberLinkPtr& link);
   void disconnected(const ros::SubscriberLinkPtr& link);
   void queueForNode(const ros::SubscriberStatusCallback& callback, const ros::SubscriberLinkPtr& link) const;
 
   const ros::SubscriberCallbacksPtr node_;
+  const std::string owner_;
   ros::PublicationPtr publication_;  ///< roscpp's, of all publishers of this process that are on the topic
   bool is_advertised_ = false;       ///< under the wiring lock
   std::shared_ptr<Audience> audience_;  ///< null before it is advertised
@@ -122,7 +127,7 @@ public:
   static bool isAnyMovingTo(const std::string& topic);
 
   // End
-  void prepare(const std::string& topic, Clock::time_point deadline) override;
+  void prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs) override;
   bool isReady() const override;
   bool commit(const Announcement& announce) override;
   void cancel() override;

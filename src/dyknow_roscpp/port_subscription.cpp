@@ -3,6 +3,8 @@
 
 #include "port_subscription.h"
 
+#include <ros/this_node.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -111,6 +113,10 @@ bool PortSubscription::take(QueuedMessage&& message)
   const std::lock_guard<std::mutex> queueing(queueing_lock_);
   {
     const std::lock_guard<std::mutex> lock(state_lock_);
+    if (connection.meets_own_ && isOwn(message))
+    {
+      return false;
+    }
     if (connection.state_ == Connection::State::WAITING)
     {
       switchLocked(waiting_);
@@ -208,7 +214,7 @@ std::size_t PortSubscription::publishers() const
   return now.empty() ? 0 : topics::publishers(now);
 }
 
-void PortSubscription::prepare(const std::string& topic, Clock::time_point deadline)
+void PortSubscription::prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs)
 {
   ConnectionPtr connection;
   {
@@ -219,11 +225,23 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
     }
     is_prepared_ = true;
     stays_ = active_ && active_->topic == topic && !waiting_;
-    if (topic.empty() || stays_)
+    if (stays_)
+    {
+      return;
+    }
+    for (const auto& old : {active_, waiting_})
+    {
+      if (old)
+      {
+        old->meets_own_ = outs.come.count(old->topic) > 0;
+      }
+    }
+    if (topic.empty())
     {
       return;
     }
     connection = prepared_ = makeConnectionLocked(topic, Connection::State::HELD);
+    connection->meets_own_ = outs.left.count(topic) > 0;
   }
   const topics::WiringLock lock(deadline);
   if (!isOpen())
@@ -233,6 +251,37 @@ void PortSubscription::prepare(const std::string& topic, Clock::time_point deadl
   if (!registerConnection(lock, connection))
   {
     throw Refusal("cannot subscribe to '" + topic + "'");
+  }
+}
+
+void PortSubscription::makeWay()
+{
+  std::vector<std::string> met;
+  {
+    std::lock_guard<std::mutex> lock(state_lock_);
+    for (const auto& old : {active_, waiting_})
+    {
+      if (old && old->meets_own_)
+      {
+        met.push_back(old->topic);
+      }
+    }
+  }
+  for (const auto& topic : met)
+  {
+    if (const auto publication = topics::publication(topic))
+    {
+      topics::flush(*publication);  // what roscpp's thread has not passed on is from before the change
+    }
+  }
+  std::lock_guard<std::mutex> lock(state_lock_);
+  if (waiting_ && !met.empty())
+  {
+    switchLocked(waiting_);
+  }
+  if (active_ && active_->meets_own_)
+  {
+    active_->state_ = Connection::State::CLOSED;
   }
 }
 
@@ -256,7 +305,11 @@ bool PortSubscription::commit(const Announcement& announce)
     }
     next.swap(prepared_);
     announce_ = announce;
-    if (!next || next->queued_ > 0 || !active_)
+    if (next)
+    {
+      next->meets_own_ = false;
+    }
+    if (!next || next->queued_ > 0 || !active_ || active_->state_ == Connection::State::CLOSED)
     {
       switchLocked(next);
       return true;
@@ -276,6 +329,13 @@ void PortSubscription::cancel()
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     is_prepared_ = stays_ = false;
+    for (const auto& old : {active_, waiting_})
+    {
+      if (old)
+      {
+        old->meets_own_ = false;
+      }
+    }
     cancelled.swap(prepared_);
     if (!cancelled)
     {
@@ -304,6 +364,19 @@ Traffic PortSubscription::traffic() const
 {
   std::lock_guard<std::mutex> lock(state_lock_);
   return traffic_;
+}
+
+bool PortSubscription::isOwn(const QueuedMessage& message) const
+{
+  const std::string* latched_by = Registration::latchedBy();
+  if (latched_by != nullptr || message.connection->state_ != Connection::State::HELD)
+  {
+    return latched_by != nullptr && *latched_by == port_->owner;
+  }
+  // roscpp does not say which publisher of this process it is of: those of the others are not due yet, either.
+  const auto header = message.deserializer->getConnectionHeader();
+  const auto sender = header->find("callerid");
+  return sender != header->end() && sender->second == ros::this_node::getName();
 }
 
 bool PortSubscription::isActive(const ConnectionPtr& connection) const

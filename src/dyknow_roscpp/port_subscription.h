@@ -28,7 +28,7 @@ namespace dyknow
 ///
 /// A move switches at the first message of the new topic. Until then the old topic is live, since its
 /// publisher may be on its way to the new one as well; but no longer than 0.1 s if the new topic has a
-/// publisher, and 0.5 s if it has none.
+/// publisher, 0.5 s if it has none, and not at all if an out-port of the same change comes to it.
 ///
 /// Locks: the wiring lock, then roscpp's, then `queueing_lock_`, then `state_lock_`. Under both of these only
 /// callback queues are called. The first is there for messages that come: a thread that their callback wakes
@@ -58,7 +58,8 @@ public:
   const Port& port() const { return *port_; }
 
   // End
-  void prepare(const std::string& topic, Clock::time_point deadline) override;
+  void prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs) override;
+  void makeWay() override;
   bool commit(const Announcement& announce) override;
   void cancel() override;
   std::string topic() const override;
@@ -66,6 +67,8 @@ public:
   Traffic traffic() const override;
 
 private:
+  /// Whether a message is, or may be, of an out-port that a connection meets during a change.
+  bool isOwn(const QueuedMessage& message) const;
   /// Whether it has not been moved away meanwhile.
   bool isActive(const ConnectionPtr& connection) const;
   ConnectionPtr makeConnectionLocked(const std::string& topic, Connection::State state);

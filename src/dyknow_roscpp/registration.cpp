@@ -78,6 +78,8 @@ private:
 /// message.
 thread_local bool t_joining = false;
 
+thread_local const std::string* t_latched_by = nullptr;
+
 /// The address of a node; empty if the master knows none.
 std::string addressOfNode(const std::string& node)
 {
@@ -162,18 +164,8 @@ Registration::Registration(std::string topic, ros::SubscriberCallbacksPtr node, 
   : topic(std::move(topic))
   , callbacks(makeCallbacks())
   , node_(std::move(node))
+  , owner_(owner)
 {
-  if (node_->push_latched_message_)
-  {
-    callbacks->push_latched_message_ =
-        [topic = this->topic, owner, push = node_->push_latched_message_](const auto& link)
-    {
-      if (Leases::instance().mayPublish(owner, topic))
-      {
-        push(link);
-      }
-    };
-  }
 }
 
 void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptions options)
@@ -193,6 +185,16 @@ void Registration::advertise(const topics::WiringLock& lock, ros::AdvertiseOptio
       here->disconnected(peer.*pointerTo(LinkOf()));
     }
   };
+  if (node_->push_latched_message_)
+  {
+    callbacks->push_latched_message_ = [self = weak_from_this()](const auto& link)
+    {
+      if (const auto here = self.lock())
+      {
+        here->pushLatched(link);
+      }
+    };
+  }
   const bool is_joining = topics::isAdvertised(lock, topic);
   audience_ = audienceOf(lock, topic, !is_joining);
   const Setting<bool> joining(t_joining, is_joining);
@@ -240,7 +242,13 @@ void Registration::send(const ros::SerializedMessage& message) const
     std::lock_guard<std::mutex> lock(links_lock_);
     links = links_;
   }
+  const Setting<const std::string*> sending(t_latched_by, &owner_);
   topics::send(links, message);
+}
+
+const std::string* Registration::latchedBy()
+{
+  return t_latched_by;
 }
 
 void Registration::flush() const
@@ -279,6 +287,22 @@ bool Registration::isHeardOutside() const
 {
   std::lock_guard<std::mutex> lock(links_lock_);
   return std::any_of(links_.begin(), links_.end(), [](const auto& link) { return !link->isIntraprocess(); });
+}
+
+void Registration::pushLatched(const ros::SubscriberLinkPtr& link) const
+{
+  {
+    std::lock_guard<std::mutex> lock(links_lock_);
+    if (is_withdrawn_)
+    {
+      return;  // the port has moved away
+    }
+  }
+  if (Leases::instance().mayPublish(owner_, topic))
+  {
+    const Setting<const std::string*> sending(t_latched_by, &owner_);
+    node_->push_latched_message_(link);
+  }
 }
 
 void Registration::connected(const ros::SubscriberLinkPtr& link)

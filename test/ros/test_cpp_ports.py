@@ -223,9 +223,32 @@ class MoveTest(CppCase):
         mover.join()
         becomes(lambda: report("/sink")["received"], 1)
 
+    def test_an_in_port_never_meets_an_out_port_of_the_same_change(self):
+        """It comes to where that was, or leaves where it comes, while a peer is waited for."""
+        ghost = rosgraph.Master("/ghost")
+        ghost.registerSubscriber("/b", Header._type, "http://localhost:1")  # it never comes
+        self.addCleanup(ghost.unregisterSubscriber, "/b", "http://localhost:1")
+        endless = {"count": 100 * COUNT, "rate": RATE}
+        for at, to in (("/b", "/a"), ("/b", "/c"), ("/c", "/a")):
+            for kept in (False, True):
+                self.manager.unload_all()
+                with self.subTest(at=at, to=to, kept=kept):
+                    ports = {"/out": "/a", "/in": at}
+                    kind = {"by_value": kept, "latch": kept}
+                    self.manager.load("Source", "/both", ports, listens=True, **endless, **kind)
+                    self.load("Source", "out", to, "/other", **endless)
+                    self.load("Sink", "in", "/a")  # latched messages are kept for those to come
+                    start("/both")
+                    start("/other")
+                    becomes(lambda: report("/sink")["received"] > 0, True)
+                    connect("/both", **{"out": "/b", "in": to})
+                    becomes(lambda: report("/both")["others"] > 0, True)
+                    self.assertEqual(report("/both")["own"], 0)
+
     def test_who_joins_the_old_topic_is_no_subscriber_any_more(self):
         """A lazy nodelet would go on working for it: no disconnect callback follows."""
-        self.load("Source", "out", "/a", watched=True)
+        self.load("Source", "out", "/a", watched=True, latch=True)
+        self.sends(1)
         self.load("Sink", "in", "/c")
         move_out, move_in = self.mover("/source", "out"), self.mover("/sink", "in")
         move_in("/d")
@@ -234,6 +257,7 @@ class MoveTest(CppCase):
         move_out("/b")
         move_in("/a")
         self.assertEqual(report("/source")["watchers"], 0)
+        self.assertEqual(report("/sink")["received"], 0)  # nor of its latched message
         move_in("/b")
         becomes(lambda: report("/source")["watchers"], 1)
 

@@ -17,7 +17,7 @@
 namespace dyknow_cpp_test
 {
 
-/// Numbers its messages and signs them with its name and their address.
+/// Numbers its messages and signs them with its name and their address. Counts messages that it hears.
 class Source : public nodelet::Nodelet
 {
 public:
@@ -46,8 +46,17 @@ private:
     {
       out_ = getNodeHandle().advertise<std_msgs::Header>("out", 1000, is_latched);
     }
+    if (private_nh.param("listens", false))
+    {
+      in_ = getNodeHandle().subscribe("in", 1000, &Source::onMessage, this);
+    }
     start_ = private_nh.advertiseService("start", &Source::onStart, this);
     report_ = private_nh.advertiseService("report", &Source::onReport, this);
+  }
+
+  void onMessage(const std_msgs::HeaderConstPtr& message)
+  {
+    ++(message->frame_id.rfind(getName() + "@", 0) == 0 ? own_ : others_);
   }
 
   bool onStart(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& answer)
@@ -73,7 +82,8 @@ private:
   {
     answer.message = "{\"sent\": " + std::to_string(sent_) +
                      ", \"listeners\": " + std::to_string(out_.getNumSubscribers()) +
-                     ", \"watchers\": " + std::to_string(watchers_) + "}";
+                     ", \"watchers\": " + std::to_string(watchers_) + ", \"own\": " + std::to_string(own_) +
+                     ", \"others\": " + std::to_string(others_) + "}";
     answer.success = true;
     return true;
   }
@@ -103,12 +113,15 @@ private:
   }
 
   ros::Publisher out_;
+  ros::Subscriber in_;
   std::vector<ros::Publisher> late_;
   ros::ServiceServer start_;
   ros::ServiceServer report_;
   bool is_by_value_ = false;  // its messages are serialised within the process too
   std::atomic<int> watchers_{0};  // connect callbacks less disconnect callbacks
   std::atomic<int> sent_{0};
+  std::atomic<int> own_{0};     // messages of its own that it has heard
+  std::atomic<int> others_{0};  // and of others
   std::atomic<bool> stopped_{false};
   std::thread sender_;
 };
