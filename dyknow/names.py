@@ -25,7 +25,7 @@ _LEGAL = re.compile(r"[~/A-Za-z][A-Za-z0-9_/]*\Z")
 
 
 def check(name: str, what: str = "name") -> str:
-    """Return a legal graph name in its usual form: as in rospy, ``~/x`` is ``~x``."""
+    """Return a legal graph name in its usual form: ``~/x`` is ``~x``, as roscpp resolves it."""
     legal = isinstance(name, str) and _LEGAL.match(name) and "//" not in name
     if not legal or name in ("~", "/", "~/"):
         raise InvalidName(name, what)
@@ -48,14 +48,16 @@ def resolve(name: str, namespace: str, private: str, what: str = "name") -> str:
 
 
 def complete(name: str, namespace: str, private: str) -> str:
-    """Make a name global without checking its characters, as rospy does for parameters."""
-    if not name:
-        return namespace
+    """Make a name global without checking its characters, as rospy does for parameters.
+
+    Of a name that is a namespace (``""``, ``~``, ``/``) the result ends with a slash.
+    """
     if name.startswith("~"):
-        name = join(private, name[1:])
-    elif not name.startswith("/"):
-        name = join(namespace, name)
-    return "/" + "/".join(filter(None, name.split("/")))
+        name, namespace = name[1:], private
+    elif name.startswith("/"):
+        namespace = "/"
+    whole = "/" + "/".join(filter(None, f"{namespace}/{name}".split("/")))
+    return whole if name.strip("/") else join(whole, "")
 
 
 def disconnected(node: str, port: str) -> str:

@@ -54,13 +54,13 @@ class PlainNodeHandle:
     def resolve_name(self, name: str, caller_id: str | None = None) -> str:
         """Make a name global and remap it: the load request's table first, then the process's.
 
-        As in rospy, ``~`` alone is the nodelet's own namespace, and names of parameters may have
-        any characters.
+        As in rospy, ``~`` alone is the nodelet's own namespace, with a slash at its end, and names
+        of parameters may have any characters.
         """
         private = caller_id or self.context.name
         namespace = self.namespace if caller_id is None else names.parent(caller_id)
         resolved = names.complete(name, namespace, private)
-        if name in ("~", "/"):  # all parameters below, in get_param("~")
+        if resolved.endswith("/"):  # all parameters below, in get_param("~")
             return resolved
         if resolved in self.context.remappings:
             return self.context.remappings[resolved]

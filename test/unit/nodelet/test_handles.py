@@ -78,10 +78,12 @@ class TestNames:
         for nh in (nodelet.node_handle, nodelet.mt_node_handle):
             assert nh.resolve_name("x") == "/robot/x"
             assert nh.resolve_name("~x") == "/robot/nodelet/x"
+            assert nh.resolve_name("") == nh.get_namespace() == "/robot/"
         for nh in (nodelet.private_node_handle, nodelet.mt_private_node_handle):
             assert nh.resolve_name("x") == nh.resolve_name("~x") == "/robot/nodelet/x"
             assert nh.resolve_name("/x") == "/x"
-            assert nh.resolve_name("~") == "/robot/nodelet"
+            assert nh.resolve_name("~") == nh.resolve_name("") == "/robot/nodelet/", "as in rospy"
+        assert nh.resolve_name("/") == world.handle("/nodelet").resolve_name("") == "/"
         nh = nodelet.node_handle
         assert nodelet.name == nh.get_name() == nh.get_caller_id() == "/robot/nodelet"
         assert nh.get_namespace() == "/robot/"

@@ -76,9 +76,9 @@ def test_pairs_with_bad_names_are_refused(source, target):
         ("config path", "/ns/config path"),
         ("/1//2/", "/1/2"),
         ("~/x", "/ns/n/x"),
-        ("~", "/ns/n"),
+        ("~", "/ns/n/"),
         ("/", "/"),
-        ("", "/ns"),
+        ("", "/ns/"),
     ],
 )
 def test_parameters_may_have_names_of_any_characters(name, completed):
