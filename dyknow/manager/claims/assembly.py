@@ -40,6 +40,8 @@ from dyknow.model.transformation import IN, OUT, Parameter, Transformation
 
 #: Names that are tried for one transformation.
 _MOST_NAMES = 10_000
+#: The label of a relay of a topic that was made for a relay: the name of that one is long enough.
+_RELAY_OF_RELAY = re.compile(r"relay of /(?:\w+/)*(relay_of_\w+)_[0-9]+/out\Z")
 #: Seconds that all replacements of a plan together have to deliver, before they take over anyway.
 _HANDOVER = 2.0
 #: Seconds between two looks for the first message of a replacement.
@@ -376,6 +378,7 @@ class Assembly(Transaction):
         records = self.world.records
         taken = {topic for record in records.values() for topic in record.topics.values()}
         taken |= self._taken_topics() | {self._claim.topic, *self.world.described}
+        label = _RELAY_OF_RELAY.sub(r"\1", label)
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", label).strip("_")
         if not stem[:1].isalpha():
             stem = f"nodelet_{stem}".rstrip("_")

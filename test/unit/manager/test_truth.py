@@ -44,6 +44,20 @@ def test_clients_share_a_topic_only_if_they_ask_for_the_same(lab: Field) -> None
     assert lab.host.running == ["/ceiling_1"]
 
 
+def test_names_of_relays_do_not_grow(lab: Field) -> None:
+    """A camera that takes the place of a relay has its topic, which other clients do not share."""
+    claim, relays = lab.acquire("RawYUV(?camera)").claim, []
+    for tag in ("RawYUV(ceiling)", "RawYUV(?camera)", "RawYUV(ceiling)"):
+        other = lab.acquire(tag)
+        relays += other.spawned
+        lab.reconciler.release(claim.claim_id)
+        lab.manager.destroy(other.spawned[0])
+        lab.settle()
+        claim = other.claim
+        assert lab.host.publishers(claim.topic) == ["/ceiling_1"]
+    assert relays == [f"/relay_of_ceiling_1_image_{number}" for number in (1, 2, 1)]
+
+
 # Claims that wait, claims that ended
 
 
