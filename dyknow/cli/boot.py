@@ -45,7 +45,7 @@ def load(manager: str, data: bytes, file: str, most: int, from_files: Collection
         stored=client.stored_parameters,
     )
     if plan.problems:
-        raise DyKnowError("; ".join(plan.problems))
+        raise DyKnowError("; ".join(map(str, plan.problems)))
     carry_out(steps_of(plan, client))
 
 

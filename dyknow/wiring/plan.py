@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from typing import Callable, Collection, Iterator, Mapping, Sequence
 
 from dyknow.datatypes import ANY, types_fit
-from dyknow.errors import FixedTopics, InvalidParameters, UnknownPort
+from dyknow.errors import FixedTopics, InvalidParameters, Problem, UnknownPort
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation, Transformations
-from dyknow.wiring.wiring import Wiring
+from dyknow.wiring.wiring import NODELET, TRANSFORMATION, Wiring
 
 Stored = Callable[[str, Sequence[str]], Mapping[str, object]]
 """Returns the values that the parameter server has for parameters of a nodelet, by name."""
@@ -72,7 +72,7 @@ class LoadPlan:
     #: Names of nodelets whose nodelet manager is not there: the manager chooses.
     any_manager: set[str] = field(default_factory=set)
     #: Why the load is refused; empty if it is not.
-    problems: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
     #: The transformations to make nodelets from, by label.
     blueprints: dict[str, Transformation] = field(default_factory=dict)
     #: Those that the library has now, by label.
@@ -124,14 +124,18 @@ def plan_load(
             problems += _problems_of_blueprint(nodelet, blueprint, present is not None)
             if present is None:
                 plan.spawned.append(nodelet)
-            if present is None or _is_remade(plan, nodelet, present, replace, stored):
+            if present is None or _is_remade(plan, wiring, nodelet, present, replace, stored):
                 may_choose = any_manager or is_own_manager(nodelet.manager)
                 if nodelet.manager and nodelet.manager not in managers and may_choose:
                     plan.any_manager.add(nodelet.name)
                 else:
                     problems += _problems_of_place(nodelet, managers)
-        plan.problems += [f"nodelet '{nodelet.name}': {problem}" for problem in problems]
+        plan.problems += [
+            wiring.problem(f"nodelet '{nodelet.name}': {problem}", (NODELET, nodelet.name))
+            for problem in problems
+        ]
     plan.problems += _problems_of_topics(plan, wiring)
+    plan.problems.sort(key=lambda problem: problem.line)
     plan.spawned = readers_first(plan.spawned, plan.blueprints)
     return plan
 
@@ -146,10 +150,11 @@ def _plan_transformations(plan: LoadPlan, wiring: Wiring, replace: bool) -> None
         else:
             plan.replaced.append((present, transformation))
             if not replace:
-                plan.problems.append(
+                what = (
                     f"transformation '{transformation.label}' is in the library already, and "
                     "differs; replace it with --replace"
                 )
+                plan.problems.append(wiring.problem(what, (TRANSFORMATION, transformation.label)))
 
 
 def _problems_of_blueprint(
@@ -182,25 +187,26 @@ def _problems_of_place(nodelet: SpawnRequest, managers: Collection[str]) -> Iter
 
 def _is_remade(
     plan: LoadPlan,
+    wiring: Wiring,
     nodelet: SpawnRequest,
     present: NodeletStatus,
     replace: bool,
     stored: Stored | None,
 ) -> bool:
     """Keep a running nodelet, or make it again; returns whether it is to be made again."""
+
+    def refuse(why: str) -> None:
+        plan.problems.append(wiring.problem(why, (NODELET, nodelet.name)))
+
     if present.transformation != nodelet.label:
         made_from = f"made from '{present.transformation}'" * bool(present.transformation)
         made_from = made_from or f"loaded by {present.owner}"
-        plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'"
-        )
+        refuse(f"nodelet '{nodelet.name}' runs already, {made_from}; expected '{nodelet.label}'")
         return False
     blueprint = plan.blueprints[nodelet.label]
     is_isolated = nodelet.isolated or (blueprint.isolated and not nodelet.manager)
     if is_isolated and not (present.isolated or present.kind.is_node):
-        plan.problems.append(
-            f"nodelet '{nodelet.name}' runs already, not isolated; expected the contrary"
-        )
+        refuse(f"nodelet '{nodelet.name}' runs already, not isolated; expected the contrary")
         return False
     is_replaced = nodelet.label in (old.label for old, _ in plan.replaced) and not blueprint.node
     outdated: tuple[str, ...] = ()
@@ -209,12 +215,12 @@ def _is_remade(
     kept = Kept(nodelet, present, outdated, frozenset(port.name for port in blueprint.ports))
     if not replace or blueprint.node or not (is_replaced or outdated):
         if present.is_fixed and kept.moves:
-            plan.problems.append(str(FixedTopics(nodelet.name, present.manager)))
-        plan.problems += _unknown_ports(kept)
+            refuse(str(FixedTopics(nodelet.name, present.manager)))
+        plan.problems += _unknown_ports(kept, wiring)
         plan.kept.append(kept)
         return False
     if present.is_protected:
-        plan.problems.append(
+        refuse(
             f"nodelet '{nodelet.name}' is protected, and would have to be made again; release it "
             f"first: dyknow unprotect {nodelet.name}"
         )
@@ -223,14 +229,15 @@ def _is_remade(
     return True
 
 
-def _unknown_ports(kept: Kept) -> Iterator[str]:
+def _unknown_ports(kept: Kept, wiring: Wiring) -> Iterator[Problem]:
     """Find ports that a running nodelet does not have, nor an image port to which they belong."""
     present = kept.present
     known = {port.name for port in present.ports}
     if present.state is State.RUNNING and present.kind.is_written_for_dyknow:
         for port in kept.moves:
             if known.isdisjoint((port, port.rpartition("/")[0])):
-                yield f"nodelet '{present.name}': {UnknownPort(port, known)}"
+                why = f"nodelet '{present.name}': {UnknownPort(port, known)}"
+                yield wiring.problem(why, (present.name, port))
 
 
 def _otherwise_made(
@@ -268,7 +275,7 @@ def _is_same(value: object, expected: object) -> bool:
     return value == expected or repr(value) == repr(expected)
 
 
-def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
+def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[Problem]:
     """Find topics to which ports of different types are to be connected."""
     first: dict[str, tuple[str, str]] = {}
     for nodelet in wiring.nodelets:
@@ -281,7 +288,8 @@ def _problems_of_topics(plan: LoadPlan, wiring: Wiring) -> Iterator[str]:
             place = f"{nodelet.name}:{port}"
             other, present = first.setdefault(topic, (place, datatype))
             if not types_fit(present, datatype):
-                yield f"topic '{topic}': '{place}' has type {datatype}, '{other}' has {present}"
+                why = f"topic '{topic}': '{place}' has type {datatype}, '{other}' has {present}"
+                yield wiring.problem(why, (nodelet.name, port))
 
 
 def readers_first(nodelets: list[SpawnRequest], blueprints: Transformations) -> list[SpawnRequest]:

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Callable, Iterable, Iterator, Mapping
 from xml.sax.saxutils import quoteattr
 
 from dyknow import names
-from dyknow.errors import DyKnowError, InvalidName
+from dyknow.errors import DyKnowError, InvalidName, Problem
 from dyknow.guards import NO_GUARDS
 from dyknow.manager.claims.ends import transformation_made_here
 from dyknow.manager.specifications.findings import EnoughProblems, Findings
@@ -36,12 +36,24 @@ class CannotSave(DyKnowError):
     """A wiring cannot be written so that it could be read again."""
 
 
+#: The first part of what a line is of: a transformation by its label, a nodelet by its name.
+#: Of a connection, the nodelet's name and the port.
+TRANSFORMATION, NODELET = "transformation", "nodelet"
+
+
 @dataclass(frozen=True)
 class Wiring:
     """Requests for nodelets, by name, and the transformations they are made from, by label."""
 
     transformations: tuple[Transformation, ...] = ()
     nodelets: tuple[SpawnRequest, ...] = ()
+    file: str = field(default="the wiring", compare=False)  # where it was read
+    lines: Mapping[tuple[str, str], int] = field(default_factory=dict, compare=False)
+
+    def problem(self, message: str, *parts: tuple[str, str]) -> Problem:
+        """Name the line of a problem: that of the first of these parts that has one."""
+        lines = (self.lines[part] for part in parts if part in self.lines)
+        return Problem(self.file, next(lines, 0), message)
 
     def to_xml(self) -> str:
         """Write the wiring as canonical XML: the same text for equal wirings."""
@@ -162,11 +174,15 @@ def read_wiring(
     units = XmlReader(findings, _WIRING).read(data)
     transformations: list[Transformation] = []
     with contextlib.suppress(EnoughProblems):
-        transformations += transformations_of(nodelets.take(units), findings)
+        for each in transformations_of(nodelets.take(units), findings):
+            transformations.append(each)
+            nodelets.lines[TRANSFORMATION, each.label] = nodelets.line
     findings.raise_if_any()
     return Wiring(
         tuple(sorted(transformations, key=lambda each: each.label)),
         tuple(sorted(nodelets.requests, key=lambda each: each.name)),
+        file,
+        nodelets.lines,
     )
 
 
@@ -179,7 +195,8 @@ class _NodeletReader:
         self._most = NO_GUARDS.nodelets
         #: Those that were read; to be used only if no problem was noted.
         self.requests: list[SpawnRequest] = []
-        self._lines: dict[str, int] = {}
+        self.lines: dict[tuple[str, str], int] = {}
+        self.line = 0  # of the unit that was returned last
 
     def take(self, units: Iterable[XmlNode]) -> Iterator[XmlNode]:
         """Read the nodelets among the units, and return the transformations."""
@@ -187,6 +204,7 @@ class _NodeletReader:
             if unit.name == "nodelet":
                 self._read(unit)
             else:
+                self.line = unit.line
                 yield unit
 
     def _read(self, nodelet: XmlNode) -> None:
@@ -198,17 +216,18 @@ class _NodeletReader:
         name, label = self._global(nodelet, "name"), nodelet.get("transformation", "-")
         if not label:
             self._findings.problem(nodelet.line, 'transformation=""; expected the label of one')
-        first = self._lines.get(name)
+        first = self.lines.get((NODELET, name))
         if name and first is not None:
             self._findings.problem(
                 nodelet.line, f"the nodelet '{name}' is there already, in line {first}"
             )
-        self._lines.setdefault(name, nodelet.line)
+        self.lines.setdefault((NODELET, name), nodelet.line)
         good = [each for each in nodelet.children if each.is_good]
         config: dict[str, str] = {}
         for each in good:
             if each.name == "connection":
                 self._connect(config, each)
+                self.lines[name, each.get("port")] = each.line
         self.requests.append(
             SpawnRequest(
                 label,

@@ -338,7 +338,7 @@ def load_wiring(wiring: Wiring, origin: str = "a wiring") -> Change:
         model, managers = client.get_model(), client.places()
         found = plan_load(wiring, model, managers, replace=True, any_manager=True)
         if found.problems:
-            raise CannotLoad("\n".join(found.problems))
+            raise CannotLoad("\n".join(map(str, found.problems)))
         return steps_of(found, client)
 
     return Change(f"load {origin}", plan)

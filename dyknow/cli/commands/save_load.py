@@ -19,7 +19,7 @@ from dyknow.manager.steps import StepFailed, carry_out
 from dyknow.model.hosts import pins
 from dyknow.wiring.load import steps_of, unsettled
 from dyknow.wiring.plan import LoadPlan, plan_load
-from dyknow.wiring.wiring import Wiring, read_wiring, too_many_nodelets, wiring_of
+from dyknow.wiring.wiring import NODELET, Wiring, read_wiring, too_many_nodelets, wiring_of
 
 if TYPE_CHECKING:
     from dyknow.ros.shell.shell_client import ShellClient
@@ -102,7 +102,7 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
         try:
             wiring = wiring or read_wiring(data, name, lambda: _limit(client))
             plan = _plan(arguments, wiring, client)
-            problems = [f"{file}: {problem}" for problem in plan.problems]
+            problems = [str(problem) for problem in plan.problems]
             is_to_load = not (problems or arguments.dry_run)
             steps = steps_of(plan, client) if is_to_load else []
             if steps or changing is None or arguments.dry_run:
@@ -173,7 +173,8 @@ def _plan(arguments: argparse.Namespace, wiring: Wiring, client: ShellClient) ->
     )
     most = _limit(client)
     if len(wiring.nodelets) > most:
-        plan.problems.append(too_many_nodelets(most))
+        first = wiring.nodelets[most].name
+        plan.problems.append(wiring.problem(too_many_nodelets(most), (NODELET, first)))
     return plan
 
 
