@@ -169,6 +169,13 @@ class HoldsTest(TellingCase):
                 self.assertEqual((done.code, done.out), (1, ""))
                 self.assertIn(text, done.err)
 
+    def test_streams_without_a_manager(self):
+        for formula, name in (("b.data > 1", "nao"), ("every ?c (b.data > 1)", "?c")):
+            words = ("holds", formula, "--port", f"b=Battery({name})", "--manager-node", "/none")
+            done = Done(*words)
+            self.assertEqual((done.code, done.out), (3, ""), done.err)
+            self.assertIn("DyKnow manager '/none' is not running", done.err)
+
     def test_what_a_bag_lacks_is_said(self):
         path = str(self.make_folder() / "run.bag")
         with rosbag.Bag(path, "w") as bag:

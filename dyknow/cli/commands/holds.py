@@ -166,6 +166,8 @@ def _live(
     of_individuals = {port: tags[port] for port in tags if port in formula.of_individuals}
     individual = tags_of_individuals(formula, of_individuals)
     client = shell.client
+    if tags:
+        client.list_streams()  # which says what to do where there is no manager
     latest = None if duration is None else time.monotonic() + duration
     datatypes = {port: _datatype(shell, port, topic, latest) for port, topic in streams.items()}
     check(formula, {port: datatypes.get(port, "") for port in formula.ports})
