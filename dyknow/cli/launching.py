@@ -232,7 +232,7 @@ def _preparing() -> Iterator[None]:
     try:
         yield
     except (OSError, *ERRORS) as error:
-        raise CannotLaunch(said(error)) from error
+        raise CannotLaunch(said(error).replace("master URI", "ROS_MASTER_URI")) from error
 
 
 def read(

@@ -151,7 +151,8 @@ class Master:
     ) -> None:
         """Prepare; with ``compares`` an answer like the one before is the same object."""
         self.caller = caller
-        self.uri = uri or os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
+        # As for rospy, an empty one is none.
+        self.uri = uri or os.environ.get("ROS_MASTER_URI") or "http://localhost:11311"
         self.timeout = timeout
         self._server = _Server(self.uri, f"the ROS master at {self.uri}", timeout, compares)
 

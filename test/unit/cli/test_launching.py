@@ -365,7 +365,8 @@ def test_a_dry_run_says_what_roslaunch_warns_of(folder, capsys):
     ("words", "environment", "message"),
     [
         (["--pid", "/none/such"], {}, "No such file or directory: '/none/such'"),
-        ([], {"ROS_MASTER_URI": "nonsense"}, "invalid master URI: nonsense"),
+        ([], {"ROS_MASTER_URI": "nonsense"}, "invalid ROS_MASTER_URI: nonsense"),
+        ([], {"ROS_MASTER_URI": ""}, "invalid ROS_MASTER_URI:"),
     ],
 )
 def test_what_cannot_be_prepared(words, environment, message, folder, capsys, monkeypatch):

@@ -152,6 +152,12 @@ def keeper(graph):
     return graph.keeper()
 
 
+@pytest.mark.parametrize("uri", ["", "http://x:1"])
+def test_its_address_is_that_of_rospy(monkeypatch, uri):
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    assert Master("/test").uri == (uri or "http://localhost:11311")
+
+
 def test_everything_is_registered_again(graph, keeper):
     talker, listener, server = graph.node("/talker"), graph.node("/listener"), SmallManager()
     talker.publish("/words")
