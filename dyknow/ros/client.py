@@ -21,7 +21,7 @@ from dyknow_msgs import msg, srv
 from genpy import Duration
 
 from dyknow import names
-from dyknow.errors import PeerTimeout, Refused
+from dyknow.errors import ManagerUnreachable, PeerTimeout, Refused
 from dyknow.locks import state_lock
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
@@ -257,7 +257,10 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         """Whether a manager was started on this host that has not registered yet."""
         if not has_begun(_MANAGER, rosgraph.ROS_MASTER_URI, _BEGINNING):
             return False
-        return {*self._nodes_with("/add_transformation")} <= {self.manager}  # else it is another
+        try:
+            return {*self._nodes_with("/add_transformation")} <= {self.manager}  # else another
+        except (ManagerUnreachable, PeerTimeout):
+            return True  # roslaunch starts a master, too
 
     def _nodes_with(self, service: str) -> list[str]:
         """Return the nodes that offer a service of such a name, sorted."""

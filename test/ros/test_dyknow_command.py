@@ -23,7 +23,18 @@ import rospy
 from graph import Heard
 from manager_suite import CHILD, MANAGER, PROGRAM, ManagerCase, library, specification
 from nodelet.srv import NodeletList, NodeletLoad
-from processes import DYKNOW, Done, Ended, Running, becomes, eventually, nodes, run, suspended
+from processes import (
+    DYKNOW,
+    Done,
+    Ended,
+    Running,
+    becomes,
+    eventually,
+    free_port,
+    nodes,
+    run,
+    suspended,
+)
 from roslib.packages import find_node
 from std_msgs.msg import Int32, String
 from stream_suite import Events
@@ -560,6 +571,20 @@ class UnreachableTest(ManagerCase):
             ManagerClient().get_model(timeout=20.0)
             return
         self.assertGreaterEqual(time.monotonic() - began, 10.0)
+
+    def test_a_command_waits_for_the_master_that_roslaunch_starts(self):
+        port, folder = free_port(), self.make_folder()
+        uri = f"http://localhost:{port}"
+        launch = ("roslaunch", "-p", port, "dyknow", "manager.launch", f"state_dir:={folder}")
+        robot = self.run_process("env", f"ROS_MASTER_URI={uri}", *launch)
+        process = psutil.Process(robot.pid)
+        eventually(lambda: process.environ().get("ROS_MASTER_URI") == uri, 10.0, "it has begun")
+        began = time.monotonic()
+        done = execute(*DYKNOW, "list", "--timeout", "20", ROS_MASTER_URI=uri)
+        if done.returncode:  # this machine is slow
+            self.assertGreaterEqual(time.monotonic() - began, 10.0, done.stderr)
+        else:
+            self.assertEqual(done.stderr, "")
 
     def begin(self, manager):
         """Start a manager; return the moment at which its process has its command line."""

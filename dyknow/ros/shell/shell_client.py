@@ -225,7 +225,8 @@ class ShellClient(ManagerClient):
 
     def _find_master(self) -> None:
         if not self._master_seen:
-            self._on_master(lambda: self._master.ask("getPid"))
+            seconds = self._timeout or client.CHANGE_TIMEOUT
+            self._on_master(lambda: self._once_up(lambda: self._master.ask("getPid"), seconds))
             self._master_seen = True
 
     def _looked_up(self, question: str, name: str) -> Any:
