@@ -225,6 +225,7 @@ class TutorialTest(TellingCase):
     def setUp(self):
         self.home = self.make_folder()
         environment = {"HOME": str(self.home), "ROS_HOME": str(self.home / ".ros")}
+        environment["QT_QPA_PLATFORM"] = "offscreen"
         patch = mock.patch.dict(os.environ, environment)
         patch.start()
         self.addCleanup(patch.stop)
@@ -268,7 +269,9 @@ class TutorialTest(TellingCase):
         if not step.printed:  # the window
             program = psutil.Process(process.pid)
             asks = lambda: any(c.status == "ESTABLISHED" for c in program.connections())  # noqa: E731
-            eventually(asks, 60.0, "it is connected to the manager", lambda: process.output)
+            is_over = lambda: process.has_ended or asks()  # noqa: E731
+            eventually(is_over, 60.0, "it is connected to the manager", lambda: process.output)
+            self.assertFalse(process.has_ended, process.output)
             return
         self.expected[name] += r"(?:.*\n)*" + step.pattern
         output = lambda: self.normal(process.output)  # noqa: E731

@@ -26,6 +26,8 @@ _directory = tempfile.TemporaryDirectory()
 _report = Path(_directory.name, "violations")
 # Before dyknow is imported: the locks of modules are made then. Children report here as well.
 os.environ["DYKNOW_LOCK_REPORT"] = str(_report)
+# Qt aborts the process where there is no screen.
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 register_profiles()
 if "DYKNOW_DELAYS" in os.environ:
