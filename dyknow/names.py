@@ -60,6 +60,11 @@ def complete(name: str, namespace: str, private: str) -> str:
     return whole if name.strip("/") else join(whole, "")
 
 
+def as_in_rospy(name: str) -> str:
+    """Make ``/x`` of ``~/x``, which rospy takes for a global name."""
+    return name[1:] if name.startswith("~/") and name.strip("~/") else name
+
+
 def disconnected(node: str, port: str) -> str:
     """The topic that a port is remapped to so that it starts disconnected.
 

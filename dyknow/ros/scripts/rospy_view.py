@@ -112,7 +112,8 @@ def _members(sandbox: Sandbox, init_node: Callable[..., None]) -> dict[str, Any]
     def remap_name(name: str, caller_id: str | None = None, resolved: bool = True) -> str:
         if sandbox.handle is None:
             return str(rospy.remap_name(name, caller_id, resolved))
-        global_name = names.complete(name, sandbox.handle.namespace, sandbox.handle.get_name())
+        own = names.as_in_rospy(name)
+        global_name = names.complete(own, sandbox.handle.namespace, sandbox.handle.get_name())
         remapped = resolve_name(name, caller_id)
         return name if remapped == global_name else remapped
 

@@ -135,17 +135,25 @@ class ScriptHandle(NodeHandle):
     proxy_class = ScriptProxy
     _proxy: ScriptProxy
 
+    def resolve_name(self, name: str, caller_id: str | None = None) -> str:
+        return super().resolve_name(names.as_in_rospy(name), caller_id)
+
     def tell_name(self, name: str) -> str:
         """Make a name global for the script, which may use that as the name of a topic."""
         resolved = self.resolve_name(name)
         if name.strip("/~") and resolved != name:
-            self._proxy.note(name, resolved)
+            self._proxy.note(names.as_in_rospy(name), resolved)
         return resolved
 
+    def Service(self, name: str, *args: Any, **options: Any) -> Any:  # noqa: N802
+        return super().Service(names.as_in_rospy(name), *args, **options)
+
     def _make_publisher(self, name: str, *args: Any, **options: Any) -> Any:
+        name = names.as_in_rospy(name)
         return self._maker(name)._make_publisher(self, name, *args, **options)
 
     def _make_subscriber(self, name: str, *args: Any, **options: Any) -> Any:
+        name = names.as_in_rospy(name)
         return self._maker(name)._make_subscriber(self, name, *args, **options)
 
     def _maker(self, name: str) -> type[PlainNodeHandle]:

@@ -403,6 +403,19 @@ def test_a_lazy_script_may_have_both():
         assert script.ports()["image"] == ("", "/cam")
 
 
+def test_names_below_a_tilde_and_a_slash_are_global_as_in_rospy(script):
+    handle, node = script.handle, script.world.node
+    for maker in ("Publisher", "Subscriber"):
+        getattr(handle, maker)(f"~/cam/{maker}", Message, None)
+        assert script.ports()[f"/cam/{maker}"] == ("test/Message", f"/cam/{maker}")
+    handle.set_param("~/rate", 5)
+    assert node.parameters == {"/rate": 5}
+    assert handle.tell_name("~/told") == "/told"
+    handle.Publisher("/told", Message)
+    assert "/told" in script.ports()
+    assert handle.Service("~/obey", print, print).resolved_name == "/obey"
+
+
 def test_a_port_by_a_longer_name(script):
     script.handle.Publisher("~out", Message)
     script.proxy.set_config([("script/out", "/x")])

@@ -16,14 +16,14 @@ rospy.set_param("here", 1)
 rospy.set_param("~private", 2)
 print("name", rospy.get_name(), rospy.get_caller_id(), rospy.get_namespace())
 print("mappings", sorted(rospy.names.get_mappings().items()))
-wanted = ("here", "~here", "/here", "other", "", "~", "/")
+wanted = ("here", "~here", "/here", "~/here", "other", "", "~", "~/", "/")
 print("resolved", [(rospy.resolve_name(name), rospy.remap_name(name)) for name in wanted])
 print("found", [rospy.search_param(name) for name in ("here", "private", "absent")])
 print("parameters", rospy.get_param("~"), rospy.get_param("here"), rospy.has_param("absent"))
 below = rospy.get_namespace()
 print("all", sorted(name for name in rospy.get_param_names() if name.startswith(below)))
 
-publisher = rospy.Publisher("words", String, queue_size=1)
+publishers = [rospy.Publisher(name, String, queue_size=1) for name in ("words", "~/words")]
 logged = threading.Event()
 
 
