@@ -51,6 +51,7 @@ from dyknow.periodic import in_background
 #: a topic on which messages flow to send the next one.
 PATIENCE = 2.0
 _SILENCE = 0.25  # the same for the publishers of a silent topic, which cost that much
+LONGEST_CATCH_UP = 5.0  # seconds for what is queued for the old process, while it comes
 LONGEST_END = 3.0  # seconds to drain the sockets of a nodelet, and for its callback to return
 _EXPIRY = 120.0  # seconds after which an unfinished move is abandoned
 _LOAD_EXPIRY = 10.0  # the same, once the nodelet was given away and while it is not being loaded
@@ -186,9 +187,11 @@ class HandOvers(Closable):
     def _catch_up(self, move: _Move, parked: Sequence[HandedTopic]) -> None:
         """Wait until the messages have come that the new process had received, or time is up.
 
-        They do not come if a publisher has dropped them from its queue for this process.
+        They do not come if a publisher has dropped them from its queue for this process. While
+        any message comes there is more time.
         """
-        until = time.monotonic() + PATIENCE
+        began = time.monotonic()
+        until = began + PATIENCE
         for connection, topic in zip(move.noted, _inputs(parked)):
             due, last = {digest for _, digest in topic.given}, -math.inf
             while due and not move.ended.is_set() and time.monotonic() < until:
@@ -197,6 +200,7 @@ class HandOvers(Closable):
                     due.discard(digest_of(message, self._runtime.transport.digest) or b"")
                 if noted:
                     last = noted[-1][0]
+                    until = min(time.monotonic() + PATIENCE, began + LONGEST_CATCH_UP)
                 else:
                     time.sleep(_STEP)
 

@@ -149,18 +149,21 @@ def test_each_message_is_received_once_in_order_whenever_it_arrives(schedule):
         assert old.world.registrations == []
 
 
-@pytest.mark.parametrize("patience", [10.0, 0.0])
+@pytest.mark.parametrize(("patience", "pause"), [(2.0, 0.01), (2.0, 1.2), (0.0, 0.01)])
 @pytest.mark.parametrize("count", range(2, 6))
-def test_what_a_publisher_has_queued_for_the_old_process_is_awaited(monkeypatch, count, patience):
-    clock, received, queued = FakeClock(), [], deque(range(count))
+def test_what_a_publisher_has_queued_for_the_old_process_is_awaited(
+    monkeypatch, count, patience, pause
+):
+    clock, received, queued, steady = FakeClock(), [], deque(range(count)), FakeClock()
 
     def sleep(seconds):
         clock.seconds += 0.01
+        steady.seconds += pause
         if queued and patience:
             old.send(queued.popleft())
         time.sleep(seconds)
 
-    monkeypatch.setattr(hand_over, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
+    monkeypatch.setattr(hand_over, "time", SimpleNamespace(monotonic=steady, sleep=sleep))
     monkeypatch.setattr(hand_over, "PATIENCE", patience)
     with places(clock, received) as (old, new):
         new.world.transport.on_made = lambda made: setattr(
