@@ -50,10 +50,9 @@ class Wiring:
     file: str = field(default="the wiring", compare=False)  # where it was read
     lines: Mapping[tuple[str, str], int] = field(default_factory=dict, compare=False)
 
-    def problem(self, message: str, *parts: tuple[str, str]) -> Problem:
-        """Name the line of a problem: that of the first of these parts that has one."""
-        lines = (self.lines[part] for part in parts if part in self.lines)
-        return Problem(self.file, next(lines, 0), message)
+    def problem(self, message: str, part: tuple[str, str]) -> Problem:
+        """Name the line of a problem: that of a part; 0 if it has none."""
+        return Problem(self.file, self.lines.get(part, 0), message)
 
     def to_xml(self) -> str:
         """Write the wiring as canonical XML: the same text for equal wirings."""
