@@ -51,7 +51,7 @@ from dyknow.periodic import in_background
 #: a topic on which messages flow to send the next one.
 PATIENCE = 2.0
 _SILENCE = 0.25  # the same for the publishers of a silent topic, which cost that much
-LONGEST_CATCH_UP = 5.0  # seconds for what is queued for the old process, while it comes
+_LONGEST_CATCH_UP = 5.0  # seconds for what is queued for the old process, while it comes
 LONGEST_END = 3.0  # seconds to drain the sockets of a nodelet, and for its callback to return
 _EXPIRY = 120.0  # seconds after which an unfinished move is abandoned
 _LOAD_EXPIRY = 10.0  # the same, once the nodelet was given away and while it is not being loaded
@@ -200,7 +200,7 @@ class HandOvers(Closable):
                     due.discard(digest_of(message, self._runtime.transport.digest) or b"")
                 if noted:
                     last = noted[-1][0]
-                    until = min(time.monotonic() + PATIENCE, began + LONGEST_CATCH_UP)
+                    until = min(time.monotonic() + PATIENCE, began + _LONGEST_CATCH_UP)
                 else:
                     time.sleep(_STEP)
 
