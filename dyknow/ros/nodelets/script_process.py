@@ -35,7 +35,7 @@ from dyknow.periodic import in_background
 from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.parameters import PrivateParameters
-from dyknow.ros.process.node_process import log_without_the_master
+from dyknow.ros.process.node_process import init_node, log_without_the_master
 from dyknow.ros.process.signals import on_signals
 from dyknow.ros.scripts.sandbox import Sandbox, join_all
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
@@ -77,6 +77,7 @@ class _ScriptProcess:
         self._code = ScriptCode(self._sandbox, argv, self._init_node)
         self._node_args = NodeArguments()
         self._main_over = threading.Event()
+        self._is_begun = threading.Event()
         self._manager: NodeletManager | None = None
         self._have_no_node()
         os.register_at_fork(after_in_child=self._have_no_node)
@@ -118,13 +119,20 @@ class _ScriptProcess:
         renamed = {source: to for source, to in mappings.items() if not source.startswith("__")}
         # Names are remapped by the proxy, which connects ports to any topic: not by rospy.
         kept = [word for word in given if word.partition(":=")[0] not in renamed]
-        rospy.init_node(**{**options, "argv": kept, "disable_signals": True})
+        rospy.on_shutdown(self._on_shutdown)
+        try:
+            self._be_node({**options, "argv": kept, "disable_signals": True}, renamed)
+        finally:
+            self._is_begun.set()
+
+    def _be_node(self, options: dict[str, Any], renamed: dict[str, str]) -> None:
+        self._shut_down = init_node(**options)
         log_without_the_master()
         self._sandbox.name = rospy.get_name()
-        self._shut_down.clear()
-        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
-        rospy.on_shutdown(self._withdraw)
-        self._offer(renamed)
+        with self._withdrawal_turn:
+            if self._sandbox.is_ending:
+                raise rospy.ROSInitException("init_node interrupted before it could complete")
+            self._offer(renamed)
 
     def _offer(self, renamed: dict[str, str]) -> None:
         nodelet_class = self._nodelet_class()
@@ -179,11 +187,16 @@ class _ScriptProcess:
         """End the node; returns when it is done."""
         self._withdraw()
         rospy.signal_shutdown("told to end")
-        # It returns at once if another thread (a signal's) is at it; that one has to finish.
         self._shut_down.wait(_LONGEST_END)
 
+    def _on_shutdown(self) -> None:
+        """Hold up a shutdown by rosnode kill: a node that is starting starts, and ends then."""
+        if rospy.core.is_initialized():
+            self._is_begun.wait(_LONGEST_END)
+        self._withdraw()
+
     def _withdraw(self) -> None:
-        """Withdraw the script's registrations; rosnode kill begins here."""
+        """Withdraw the script's registrations."""
         self._sandbox.shut_down("shutdown")  # however long its hooks take, as in rospy
         with self._withdrawal_turn:
             manager, self._manager = self._manager, None

@@ -26,6 +26,7 @@ import rospy
 from rosgraph.roslogging import RosStreamHandler
 from rospy.impl.masterslave import ROSHandler
 from rospy.impl.paramserver import get_param_server_cache
+from rospy.impl.registration import RegManager, get_registration_listeners
 
 from dyknow import names
 from dyknow.errors import BadParameter, CannotRun, DyKnowError
@@ -103,13 +104,13 @@ class NodeProcess:
         if order is _Order.START_AGAIN:
             _execute_again(self._variables)
         if not rospy.core.is_initialized():
+            self._closed.set()
             _shut_down(_SHORT_PATIENCE)  # also ends the wait for a master
         starting.join(_START_PATIENCE)
         if self._running is not None:
             self._running.close()
         self._closed.set()
         _shut_down(_SHORT_PATIENCE if self._shut_down.is_set() else _SHUTDOWN_PATIENCE)
-        # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
         self._shut_down.wait(_SHUTDOWN_PATIENCE)
         if order is _Order.FAIL:
             return FAILED
@@ -121,26 +122,21 @@ class NodeProcess:
                 _hear_of_displacement(self._on_displaced)
             descriptors.spare()
             names.check(name_of(self._argv, self._node), "name of a node")
-            init_node(self._node, argv=self._argv, disable_signals=True)
+            rospy.on_shutdown(self._on_shutdown)
+            self._shut_down = init_node(self._node, argv=self._argv, disable_signals=True)
             log_without_the_master()
             _print_logs_at_least()
             descriptors.enlarge_queue()
             gc.freeze()  # a full collection of garbage would look at all imports, for 10 ms
-            self._shut_down.clear()
-            rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
-            rospy.on_shutdown(self._on_shutdown)
             self._running = self._start()
         except DyKnowError as error:
             rospy.logfatal("%s", error)
             if isinstance(error, BadParameter):
                 self._forget(error.name)
-        except rospy.ROSInitException:
-            if not rospy.is_shutdown():
+        except BaseException:
+            if not rospy.core.is_shutdown_requested():  # else it is told to end already
                 self._told.put(_Order.FAIL)
                 raise
-        except BaseException:
-            self._told.put(_Order.FAIL)
-            raise
         if self._running is None:
             self._told.put(_Order.FAIL)
 
@@ -164,8 +160,21 @@ class NodeProcess:
         self._closed.wait(_CLOSE_PATIENCE)
 
 
-def init_node(name: str, **options: Any) -> None:
-    """Become a node, as by `rospy.init_node`; raises CannotRun if its log cannot be written."""
+def init_node(name: str, **options: Any) -> threading.Event:
+    """Become a node, as by `rospy.init_node`, whose shutdown takes no longer than it has to.
+
+    Returns:
+        An event that is set once rospy's shutdown has called its hooks. Only then may the main
+        thread end: where another one shuts down (rosnode kill), ``rospy.signal_shutdown`` does
+        not wait.
+
+    Raises:
+        CannotRun: the log cannot be written.
+        rospy.ROSInitException: a shutdown has begun meanwhile.
+    """
+    shut_down = threading.Event()
+    # From now on: a hook that is added while a shutdown runs waits for its end, and is dropped.
+    rospy.on_shutdown(lambda: _hasten(shut_down))
     try:
         rospy.init_node(name, **options)
     except OSError as error:
@@ -175,6 +184,25 @@ def init_node(name: str, **options: Any) -> None:
             f"the log cannot be written: {error.strerror}: '{error.filename}'; set ROS_LOG_DIR to "
             "a folder that can be written"
         ) from error
+    return shut_down
+
+
+def _hasten(shut_down: threading.Event) -> None:
+    """Set an event once the shutdown that begins has called its hooks, and wake rospy's thread.
+
+    rospy wakes the thread that keeps registrations just before that may end, and then joins it:
+    it would look again within 0.5 s.
+    """
+    listeners = list(get_registration_listeners().listeners)
+    managers = [listener for listener in listeners if isinstance(listener, RegManager)]
+
+    def end(reason: str) -> None:
+        for manager in managers:
+            with manager.cond:
+                manager.cond.notify_all()
+        shut_down.set()
+
+    rospy.core.add_shutdown_hook(end)
 
 
 def name_of(argv: Sequence[str], default: str) -> str:

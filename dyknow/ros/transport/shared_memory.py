@@ -175,7 +175,8 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
         listeners = rospy.impl.registration.get_registration_listeners().listeners
         for each in listeners if is_wanted else ():
             if isinstance(each, rospy.impl.registration.RegManager):
-                each.handler.protocol_handlers.insert(0, handler)
+                # There are none any more where a shutdown has begun.
+                (each.handler.protocol_handlers or []).insert(0, handler)
         return handler
 
     # Of rospy's interface

@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 the DyKnow developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+"""The end of a node: at `rosnode kill`, at its start too, and without waits."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+#: A master that agrees to everything, and a `rosnode kill` that has begun.
+KILL = """
+import functools, os, sys, threading, time
+from xmlrpc.client import ServerProxy
+from xmlrpc.server import SimpleXMLRPCServer
+
+master = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=True)
+master.register_function(lambda *words: (1, "", []), "any")
+dispatch = master._dispatch
+master._dispatch = lambda method, words: dispatch("any", words)
+threading.Thread(target=master.serve_forever, daemon=True).start()
+os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{master.server_address[1]}"
+
+import rospy
+
+def kill():
+    node = ServerProxy(rospy.get_node_uri())
+    threading.Thread(target=node.shutdown, args=("/rosnode", "by a user"), daemon=True).start()
+    while not rospy.core.is_shutdown_requested():
+        time.sleep(0.01)
+
+rospy.on_shutdown(lambda: time.sleep(0.5))  # the start goes on meanwhile
+original = rospy.init_node
+
+@functools.wraps(original)
+def init_node(*words, **options):
+    original(*words, **options)
+    kill()
+
+rospy.init_node = init_node
+"""
+NODE = """
+from dyknow.ros.process.node_process import NodeProcess
+
+class Runs:
+    def close(self):
+        print("closed while rospy works:", not rospy.is_shutdown())
+
+sys.exit(NodeProcess("node", ["node"], Runs).run())
+"""
+LOAD = """
+from dyknow.ros.nodelets.nodelet_client import run_load
+
+sys.exit(run_load("nodelet", "any/Type", "manager", [], True, ["nodelet"]))
+"""
+SCRIPT = """
+from dyknow.ros.nodelets.script_process import main
+
+with open("script.py", "w") as file:
+    file.write("import rospy\\nrospy.init_node('script')\\nrospy.spin()\\nprint('over')")
+sys.exit(main(["script.py"]))
+"""
+WOKEN = """
+from rospy.impl.registration import RegManager
+from dyknow.ros.process.node_process import NodeProcess
+
+class Told(threading.Condition):
+    def notify_all(self):
+        print("woken at the end:", rospy.is_shutdown())
+        super().notify_all()
+
+    notifyAll = notify_all
+
+def begin(manager, handler, begin=RegManager.__init__):
+    begin(manager, handler)
+    manager.cond = Told()
+
+class Runs:
+    def close(self):
+        pass
+
+RegManager.__init__ = begin
+sys.exit(NodeProcess("node", ["node"], Runs).run())
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "printed"),
+    [
+        pytest.param(NODE, 0, "closed while rospy works: True", id="node"),
+        pytest.param(LOAD, 130, "Loading nodelet", id="load"),
+        pytest.param(SCRIPT, 0, "over", id="script"),
+        pytest.param(WOKEN, 0, "woken at the end: True", id="woken"),
+    ],
+)
+def test_a_node_that_is_killed_while_it_starts_ends_in_order(tmp_path, code, status, printed):
+    command = [sys.executable, "-c", KILL + code]
+    run = subprocess.run(command, cwd=tmp_path, timeout=60, stdout=subprocess.PIPE, text=True)
+    assert (run.returncode, printed in run.stdout) == (status, True), run.stdout
