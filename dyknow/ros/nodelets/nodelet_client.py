@@ -4,17 +4,12 @@
 """The client side of a nodelet manager: what `nodelet load` and `nodelet unload` do.
 
 They work with every manager that offers nodelet_core's services, in Python or C++. `load` is a
-node that carries the nodelet's name and stays as long as the nodelet shall: its main thread only
-waits for the next event (the nodelet is loaded, the bond broke, a signal to stop), and
-everything that may block has a thread of its own. So a signal is answered at once, even
-while the manager hangs.
+node that carries the nodelet's name and stays as long as the nodelet shall. What may block has a
+thread of its own, so that a signal is answered at once, even while the manager hangs.
 """
 
 from __future__ import annotations
 
-import enum
-import queue
-import signal
 import threading
 import traceback
 import uuid
@@ -24,10 +19,11 @@ import rospy
 from nodelet.srv import NodeletLoad, NodeletLoadRequest, NodeletUnload
 
 from dyknow.errors import HostError, PeerTimeout
+from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
 from dyknow.ros.bonding.bonds import Bonds
-from dyknow.ros.process.node_process import init_node
-from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.process.node_process import NodeProcess, init_node
+from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED
 from dyknow.ros.transport.node import is_offered_within
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient, ServiceFailed, ServiceLost
@@ -39,15 +35,6 @@ _LOAD_TIMEOUT_AT_EXIT = 0.5
 _UNLOAD_TIMEOUT_AT_EXIT = 2.0
 _BOND_TIMEOUT_AT_EXIT = 0.2
 _LAST_WORD = 0.05
-_LONGEST_EXIT = 4.0
-_SHUTDOWN_TIMEOUT = 2.0
-
-
-class _Event(enum.Enum):
-    LOADED = enum.auto()
-    REFUSED = enum.auto()
-    BROKEN = enum.auto()
-    STOP = enum.auto()
 
 
 def run_load(
@@ -63,8 +50,7 @@ def run_load(
     The node and the nodelet have the default name unless ``argv``, the command line with ROS's
     own arguments, has another. Returns the process's exit code.
     """
-    init_node(default_name, argv=list(argv), disable_signals=True)
-    return _LoadClient(rospy.get_name(), nodelet_type, manager, my_argv, bond).run()
+    return _LoadClient(nodelet_type, manager, my_argv, bond).run(default_name, argv)
 
 
 def run_unload(name: str, manager: str, argv: Sequence[str]) -> int:
@@ -94,81 +80,68 @@ def unload(name: str, manager: str, timeout: float, at_exit: bool = False) -> bo
     return True
 
 
-class _LoadClient:
+class _LoadClient(Closable):
     """One `nodelet load`, from the request to the unload."""
 
     def __init__(
-        self, name: str, nodelet_type: str, manager: str, my_argv: Sequence[str], bond: bool
+        self, nodelet_type: str, manager: str, my_argv: Sequence[str], bond: bool
     ) -> None:
-        self._name, self._type, self._manager = name, nodelet_type, manager
+        self._type, self._manager = nodelet_type, manager
         self._my_argv = my_argv
-        self._bond_id = f"{name}_{uuid.uuid4()}" if bond else ""
-        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
-        self._requested = False
-        self._ended = threading.Event()
-        self._shut_down = threading.Event()
+        self._bond = bond
+        self._name = self._bond_id = ""
+        self._bonds: Bonds | None = None
+        self._requested = self._succeeded = self._is_broken = False
+        self._answered = threading.Event()
+        self._exit_code = DONE
 
-    def run(self) -> int:
-        on_signals((signal.SIGINT, signal.SIGTERM), lambda: self._events.put(_Event.STOP))
-        rospy.on_shutdown(self._on_shutdown_request)
-        rospy.core.add_shutdown_hook(lambda reason: self._shut_down.set())
-        in_background("load", self._load)
-        try:
-            return self._follow()
-        finally:
-            self._ended.set()
-            rospy.signal_shutdown("nodelet load ends")
-            # It returns at once if another thread (rosnode kill) is at it; that one has to finish.
-            self._shut_down.wait(_SHUTDOWN_TIMEOUT)
+    def run(self, default_name: str, argv: Sequence[str]) -> int:
+        self._process = NodeProcess(default_name, argv, self._begin)
+        return self._process.run() or self._exit_code
 
-    def _follow(self) -> int:
-        event = self._events.get()
-        if event is _Event.REFUSED:
-            return FAILED
-        if event is _Event.STOP:
-            return self._abandon_load()
-        bonds: Bonds | None = None
-        if self._bond_id:
-            bonds = Bonds(f"{self._manager}/bond")
-            bonds.add(self._bond_id, lambda: self._events.put(_Event.BROKEN))
-        if self._events.get() is _Event.BROKEN:
-            rospy.loginfo("Bond broken, exiting")
-            return DONE
-        unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
-        if bonds is not None:
-            bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
-        return DONE
+    def close(self) -> None:
+        """Unload it, unless it is gone or was refused.
 
-    def _abandon_load(self) -> int:
-        """Leave no nodelet behind that the manager is just initialising; returns the exit code.
-
-        A nodelet that came up while we were stopped is one that was loaded and then unloaded.
+        Nor is a nodelet left behind that the manager is just initialising. One that came up while
+        this node was stopped has been loaded and then unloaded.
         """
-        if not self._requested:
-            return INTERRUPTED
-        try:
-            event = self._events.get(timeout=_LOAD_TIMEOUT_AT_EXIT)
-        except queue.Empty:
-            event = _Event.STOP
-        if event is not _Event.REFUSED:
-            unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
-        return DONE if event is _Event.LOADED else INTERRUPTED
+        is_early = not self._answered.is_set()
+        if is_early and self._requested:
+            self._answered.wait(_LOAD_TIMEOUT_AT_EXIT)
+        if not self._succeeded:
+            self._exit_code = INTERRUPTED if is_early else FAILED
+        may_be_loaded = self._requested and (self._succeeded or not self._answered.is_set())
+        if self._is_broken:
+            rospy.loginfo("Bond broken, exiting")
+        elif may_be_loaded:
+            unloaded = unload(self._name, self._manager, _UNLOAD_TIMEOUT_AT_EXIT, at_exit=True)
+            if self._bonds is not None:
+                self._bonds.close(_BOND_TIMEOUT_AT_EXIT if unloaded else _LAST_WORD)
 
-    def _on_shutdown_request(self) -> None:
-        """Hold up a shutdown by rosnode kill: the unload needs the node."""
-        if not self._ended.is_set():
-            rospy.logwarn("Shutdown request received.")
-            self._events.put(_Event.STOP)
-            self._ended.wait(_LONGEST_EXIT)
+    def _begin(self) -> _LoadClient:
+        self._name = rospy.get_name()
+        if self._bond:
+            self._bond_id = f"{self._name}_{uuid.uuid4()}"
+        in_background("load", self._load)
+        return self
 
     def _load(self) -> None:
         try:
-            self._events.put(_Event.LOADED if self._request() else _Event.REFUSED)
+            self._succeeded = self._request()
+            if self._succeeded and self._bond_id:
+                self._bonds = Bonds(f"{self._manager}/bond")
+                self._bonds.add(self._bond_id, self._on_broken)
         except rospy.ROSInterruptException:
-            pass  # The process ends; the event is not awaited.
+            return  # The process ends; the answer is not awaited.
         except Exception:
             rospy.logfatal(f"Failed to load nodelet '{self._name}`:\n{traceback.format_exc()}")
-            self._events.put(_Event.REFUSED)
+        self._answered.set()
+        if not self._succeeded:
+            self._process.end()
+
+    def _on_broken(self) -> None:
+        self._is_broken = True
+        self._process.end()
 
     def _request(self) -> bool:
         resolved = rospy.names.get_resolved_mappings()
