@@ -26,6 +26,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Callable, Mapping
 
+from rospy.impl.registration import get_service_manager
+
 from dyknow.errors import PeerTimeout
 from dyknow.periodic import ControlLoop
 from dyknow.ros.hosting.external import may_be_there
@@ -211,6 +213,7 @@ class MasterKeeper:
         return is_missing or not present.is_of_the_same_master(kept)
 
     def _heal(self, kept: MasterMirror, present: MasterMirror) -> None:
+        kept = self._with_own_services(kept)
         missing = {
             node: at
             for node, at in kept.nodes.items()
@@ -254,6 +257,15 @@ class MasterKeeper:
         dead = sorted(missing.keys() - living.keys())
         if dead:
             _log.warning("nodes that have ended are not registered again: %s", ", ".join(dead))
+
+    def _with_own_services(self, kept: MasterMirror) -> MasterMirror:
+        """Add the services that this node has offered since the last look."""
+        own = dict(get_service_manager().get_services())
+        return replace(
+            kept,
+            services={**kept.services, **dict.fromkeys(own, self._me)},
+            addresses={**kept.addresses, **own},
+        )
 
     def _ask_topics(self, node: str, at: NodeAddress) -> NodeTopics | None:
         """Ask a node for its topics; None if it has ended."""

@@ -16,6 +16,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Dict, List, Tuple
 from urllib.parse import urlsplit
 from xmlrpc.client import Binary, dumps
@@ -219,6 +220,17 @@ def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, 
     assert services == {"/node/kept": ["/node"]}
     assert types["/new"] == types["/new_too"] == "std_msgs/String"
     assert "have ended are not registered again: /gone, /replaced" in caplog.text
+
+
+def test_what_the_manager_itself_has_just_offered_is_registered(graph, keeper, monkeypatch):
+    """The last look was before, when the master ended while the manager was starting."""
+    keeper.look()
+    new = f"{ME}/spawn"
+    offered = SimpleNamespace(get_services=lambda: [(new, SmallManager().service)])
+    monkeypatch.setattr(keeper_module, "get_service_manager", lambda: offered)
+    graph.core.renew()
+    keeper.look()
+    assert graph.core.state()[2] == {new: [ME]}
 
 
 def test_a_node_with_a_fixed_port_that_was_killed_and_started_again_is_registered(graph, keeper):
