@@ -19,6 +19,7 @@ import queue
 import signal
 import sys
 import threading
+import time
 from typing import Any, Callable, Mapping, Sequence
 
 import rosgraph.names
@@ -44,6 +45,7 @@ _CLOSE_PATIENCE = 10.0
 _SHUTDOWN_PATIENCE = 2.0
 #: The same for a node that was never initialised.
 _SHORT_PATIENCE = 0.5
+_LOOK_AGAIN = 0.25  # seconds between two looks for a master that went away during the start
 #: Part of the master's shutdown message to a node whose name another one has registered.
 _DISPLACED = "new node registered with same name"
 
@@ -129,16 +131,31 @@ class NodeProcess:
             descriptors.enlarge_queue()
             gc.freeze()  # a full collection of garbage would look at all imports, for 10 ms
             self._running = self._start()
-        except DyKnowError as error:
-            rospy.logfatal("%s", error)
-            if isinstance(error, BadParameter):
-                self._forget(error.name)
-        except BaseException:
-            if not rospy.core.is_shutdown_requested():  # else it is told to end already
+        except BaseException as error:
+            if rospy.core.is_shutdown_requested():
+                pass  # It is told to end already.
+            elif any(isinstance(each, ConnectionError) for each in (error, error.__cause__)):
+                self._begin_again(error)
+                return
+            elif isinstance(error, DyKnowError):
+                rospy.logfatal("%s", error)
+                if isinstance(error, BadParameter):
+                    self._forget(error.name)
+            else:
                 self._told.put(_Order.FAIL)
                 raise
         if self._running is None:
             self._told.put(_Order.FAIL)
+
+    def _begin_again(self, error: BaseException) -> None:
+        """Start again as soon as there is a ROS master: rospy gives up where there is none."""
+        while not rospy.core.is_shutdown_requested():
+            with contextlib.suppress(OSError):
+                rospy.get_master().getPid()
+                rospy.logwarn("the ROS master was away (%s); starting again", error)
+                self.start_again({})
+                return
+            time.sleep(_LOOK_AGAIN)
 
     def _forget(self, parameter: str) -> None:
         """Delete a private parameter that the command line has set.

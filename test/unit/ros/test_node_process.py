@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The end of a node: at `rosnode kill`, at its start too, and without waits."""
+"""Nodes that are killed, or lose their ROS master, while they start."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import sys
 
 import pytest
 
-#: A master that agrees to everything, and a `rosnode kill` that has begun.
-KILL = """
+#: A master that agrees to everything.
+MASTER = """
 import functools, os, sys, threading, time
 from xmlrpc.client import ServerProxy
 from xmlrpc.server import SimpleXMLRPCServer
@@ -24,7 +24,11 @@ threading.Thread(target=master.serve_forever, daemon=True).start()
 os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{master.server_address[1]}"
 
 import rospy
-
+"""
+#: A `rosnode kill` that has begun when the node is initialised.
+KILL = (
+    MASTER
+    + """
 def kill():
     node = ServerProxy(rospy.get_node_uri())
     threading.Thread(target=node.shutdown, args=("/rosnode", "by a user"), daemon=True).start()
@@ -41,6 +45,7 @@ def init_node(*words, **options):
 
 rospy.init_node = init_node
 """
+)
 NODE = """
 from dyknow.ros.process.node_process import NodeProcess
 
@@ -86,6 +91,33 @@ sys.exit(NodeProcess("node", ["node"], Runs).run())
 """
 
 
+LOST = """
+def lose_master():
+    master.shutdown()
+    master.server_close()
+    threading.Thread(target=after_that, daemon=True).start()
+
+from dyknow.ros.process.node_process import NodeProcess
+
+class Runs:
+    def close(self):
+        pass
+
+def start():
+    begun = os.path.exists("begun")
+    print("started" + " at last" * begun)
+    if not begun:
+        open("begun", "w").close()
+        lose_master()
+        rospy.get_param("~anything", None)
+    process.end()
+    return Runs()
+
+process = NodeProcess("node", ["node"], start)
+sys.exit(process.run())
+"""
+
+
 @pytest.mark.parametrize(
     ("code", "status", "printed"),
     [
@@ -96,6 +128,41 @@ sys.exit(NodeProcess("node", ["node"], Runs).run())
     ],
 )
 def test_a_node_that_is_killed_while_it_starts_ends_in_order(tmp_path, code, status, printed):
-    command = [sys.executable, "-c", KILL + code]
-    run = subprocess.run(command, cwd=tmp_path, timeout=60, stdout=subprocess.PIPE, text=True)
-    assert (run.returncode, printed in run.stdout) == (status, True), run.stdout
+    ended, lines = ends(tmp_path, KILL + code)
+    assert ended == status
+    assert any(printed in line for line in lines), lines
+
+
+#: The master comes back at its address, or the node is told to end.
+BACK = """
+def after_that():
+    time.sleep(0.6)
+    next_master = SimpleXMLRPCServer(master.server_address, logRequests=False)
+    next_master.register_function(lambda caller: (1, "", 1), "getPid")
+    next_master.serve_forever()
+"""
+ENDED = """
+def after_that():
+    time.sleep(0.6)
+    process.end()
+"""
+
+
+@pytest.mark.parametrize(
+    ("then", "status", "starts"),
+    [
+        pytest.param(BACK, 0, ["started", "started at last"], id="back"),
+        pytest.param(ENDED, 130, ["started"], id="ended"),
+    ],
+)
+def test_a_node_that_loses_its_master_while_it_starts_begins_again_with_the_next(
+    tmp_path, then, status, starts
+):
+    assert ends(tmp_path, MASTER + then + LOST) == (status, [*starts, ""])
+
+
+def ends(folder, code):
+    """Run code in a process of its own; returns the exit code, and the lines that it printed."""
+    command = [sys.executable, "-c", code]
+    run = subprocess.run(command, cwd=folder, timeout=60, stdout=subprocess.PIPE, text=True)
+    return run.returncode, run.stdout.split("\n")
