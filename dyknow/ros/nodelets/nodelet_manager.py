@@ -41,7 +41,7 @@ from dyknow.ros.bonding.bonds import Bonds
 from dyknow.ros.nodelets.announcements import TOPIC, Announcer
 from dyknow.ros.nodelets.nodelet_log import NodeletLog
 from dyknow.ros.nodelets.owner import end_when_orphaned
-from dyknow.ros.nodelets.peer_services import HandOverService, PollService, end_when_displaced
+from dyknow.ros.nodelets.peer_services import HandOverService, PollService, watch_name
 from dyknow.ros.nodelets.process_guards import SPAWNED, ProcessGuards, caller_of
 from dyknow.ros.nodelets.proxy_services import ProxyServices, for_log
 from dyknow.ros.parameters import PrivateParameters
@@ -369,7 +369,14 @@ def run_manager(argv: Sequence[str], node: str = "manager") -> int:
     def start() -> NodeletManager:
         manager = _make()
         manager.offer()
-        end_when_displaced(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown)
+
+        def begin_again() -> None:
+            """Register with a new master; with nodelets the connections of these matter more."""
+            if not manager.loader.list():
+                rospy.logwarn("the ROS master is a new one that does not know it; starting again")
+                process.start_again({})
+
+        watch_name(rospy.get_name(), rospy.get_node_uri(), rospy.signal_shutdown, begin_again)
         return manager
 
     process = NodeProcess(node, argv, start)

@@ -55,6 +55,9 @@ PERIOD = 0.2
 PATIENCE = 0.4
 #: Seconds between two queries of the master for our name, and for its answer.
 NAME_PERIOD = 1.0
+#: Queries in a row without an answer that tell that nobody will register this node again: a DyKnow
+#: manager does so within two seconds.
+_FORGOTTEN = 4
 
 
 class _UnregisteredService(Closable):
@@ -251,18 +254,31 @@ def _query(connection: socket.socket, host: str) -> Sight:
         return Sight.STOPPED
 
 
-def end_when_displaced(name: str, uri: str, end: Callable[[str], None]) -> None:
-    """Call ``end`` once, with the reason, when the master has another address of a node's name.
+def watch_name(
+    name: str, uri: str, end: Callable[[str], None], forgotten: Callable[[], None]
+) -> None:
+    """Look periodically, in a thread of its own, for the node that the master has under a name.
 
-    A thread of its own polls the master. One that is away, or knows no such node, changes nothing.
+    Args:
+        name: the name of this node.
+        uri: its address.
+        end: called once, with the reason, when another address has the name.
+        forgotten: called when the master has not known the name for some seconds: it is a new one,
+            and nobody has registered this node with it. A master that is away changes nothing.
     """
     master = Master(name, timeout=NAME_PERIOD)
+    missed = 0
 
     def check() -> None:
+        nonlocal missed
         with contextlib.suppress(PeerTimeout):
-            if master.node(name) not in ("", uri):
+            found = master.node(name)
+            missed = 0 if found else missed + 1
+            if found not in ("", uri):
                 worker.close()
                 end(f"another node bears the name {name} now")
+            elif missed == _FORGOTTEN:
+                forgotten()
 
     worker = PeriodicWorker("looking who bears the name of this node", check, NAME_PERIOD)
     worker.start()

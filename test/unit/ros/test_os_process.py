@@ -29,7 +29,7 @@ from dyknow.ros.hosting.child_records import ChildRecord
 from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets import peer_services
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
-from dyknow.ros.nodelets.peer_services import end_when_displaced
+from dyknow.ros.nodelets.peer_services import watch_name
 from dyknow.ros.process import os_process, owned
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.process.owned import Processes, ProcessFailed
@@ -309,7 +309,7 @@ def goes_on(reasons, seconds=0.2):
 def test_it_ends_when_another_node_has_its_name_and_not_before(graph):
     graph.nodes["/twin"] = elder = SmallManager()
     reasons = queue.Queue()
-    end_when_displaced("/twin", elder.uri, reasons.put)
+    watch_name("/twin", elder.uri, reasons.put, lambda: None)
     assert goes_on(reasons)
     del graph.nodes["/twin"]  # a new master has no registrations
     assert goes_on(reasons)
@@ -321,5 +321,15 @@ def test_a_node_goes_on_while_the_master_is_away(graph):
     graph.nodes["/twin"] = elder = SmallManager()
     reasons = queue.Queue()
     graph.close()
-    end_when_displaced("/twin", elder.uri, reasons.put)
+    watch_name("/twin", elder.uri, reasons.put, lambda: None)
     assert goes_on(reasons, 0.3)
+
+
+def test_a_new_master_that_does_not_get_to_know_it_is_told_once(graph):
+    graph.nodes["/twin"] = elder = SmallManager()
+    told = queue.Queue()
+    watch_name("/twin", elder.uri, told.put, lambda: told.put("forgotten"))
+    assert goes_on(told)
+    del graph.nodes["/twin"]
+    assert told.get(timeout=PATIENCE) == "forgotten"
+    assert goes_on(told)
