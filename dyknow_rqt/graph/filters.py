@@ -91,6 +91,11 @@ def with_namespaces(name: str) -> list[str]:
     return ["/" + "/".join(pieces[: count + 1]) for count in range(len(pieces))]
 
 
+def _name_and_arguments(tag: str) -> tuple[str, list[str]]:
+    name, _, rest = tag.partition("(")
+    return name.strip(), [word.strip() for word in rest.rstrip(") ").split(",")]
+
+
 def tag_completions(text: str, tags: Sequence[str]) -> list[str]:
     """Complete a tag, or within its parentheses the next of its arguments."""
     concept, opened, inside = text.rpartition("(")
@@ -98,14 +103,14 @@ def tag_completions(text: str, tags: Sequence[str]) -> list[str]:
         return [tag for tag in tags if text.lower() in tag.lower()]
     before = inside.split(",")
     part, place = before[-1].strip(), len(before) - 1
+    known = [_name_and_arguments(tag) for tag in tags]
+    own = concept.strip()
+    ends = {len(words) for name, words in known if name == own} == {place + 1}
     found = []
-    for tag in tags:
-        name, _, rest = tag.partition("(")
-        words = [word.strip() for word in rest.rstrip(") ").split(",")]
-        is_own = name.strip() == concept.strip()
-        is_last = is_own and len(words) == place + 1
+    for name, words in known:
+        is_last = len(words) == place + 1 if name == own else ends
         for word in words:
             if word and not word.startswith("?") and word.lower().startswith(part.lower()):
-                found.append((not is_own, word + ")" if is_last else word))
+                found.append((name != own, word + ")" if is_last else word))
     start = text[: len(text) - len(part)]
     return list(dict.fromkeys(start + word for _, word in sorted(found)))

@@ -204,8 +204,9 @@ class StreamsPanel(Panel):
                 lambda client, label: client.plan_stream(stream.claim_id, (label,)), *ways
             )
             change = replan(stream.claim_id, stream.tag)
+            what = f"at a cost of {found.cost:.0f}" if found.spawned else "which spawns nothing"
             self._line.ask(
-                f"Switch {stream.tag} to this plan, at a cost of {found.cost:.0f}?",
+                f"Switch {stream.tag} to this plan, {what}?",
                 "Replan",
                 lambda: self._monitor.do(change, lambda: self._show_way(stream.claim_id)),
             )

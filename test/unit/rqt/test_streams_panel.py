@@ -291,7 +291,7 @@ def test_a_tag_is_completed_within_its_parentheses():
         ("yuv", ["RawYUV(nao1, bottom)", "RawYUV(nao1, top)"]),
         ("FieldPosition(ba", ["FieldPosition(ball)"]),
         ("RawYUV(", ["RawYUV(bottom", "RawYUV(nao1", "RawYUV(top", "RawYUV(ball"]),
-        ("HSV(nao1, B", ["HSV(nao1, ball", "HSV(nao1, bottom"]),
+        ("HSV(nao1, B", ["HSV(nao1, ball)", "HSV(nao1, bottom)"]),
         ("RawYUV(nao1, t", ["RawYUV(nao1, top)"]),
         ("Track(?", []),
         ("RawYUV(nao1, top)", ["RawYUV(nao1, top)"]),
@@ -329,6 +329,6 @@ def test_the_cheapest_way_is_taken_after_asking_and_what_stays_is_not_struck_out
     assert panel.plan.text.startswith("Track(ball) [nav_msgs/Path]  0")
     assert "Used no longer" not in panel.plan.text
     assert len(window.monitor.streams[0].nodelets) > 1
-    assert window.line.text == "Switch Track(ball) to this plan, at a cost of 0?"
+    assert window.line.text == "Switch Track(ball) to this plan, which spawns nothing?"
     click(qtbot, window.line.yes)
     until(qtbot, lambda: window.line.text == "done: replan Track(ball)")
