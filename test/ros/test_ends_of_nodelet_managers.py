@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 import unittest
 from typing import Any
 
@@ -36,6 +37,9 @@ from std_msgs.msg import String
 from dyknow.model.graph import State
 
 PEER = "/peer"
+#: Seconds: what has served for one is started again at once, and anything else after a pause that
+#: grows each time.
+SERVED = 1.1
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 PROTECTED = ("/counter", "/relay2")
 NEIGHBOURS = ("/counter", "/relay")
@@ -77,6 +81,7 @@ class EndsTest(ManagerCase):
 
     def is_back(self) -> None:
         eventually(self.looks_as_spawned, 10.0, "all nodelets are back", self.nodelets)
+        time.sleep(SERVED)
 
     # A nodelet manager of the DyKnow manager's own
 
@@ -124,6 +129,7 @@ class EndsTest(ManagerCase):
         for number in SIGNALS:
             self.manager.kill_child(CPP_CHILD, number)
             self.are(State.RUNNING, *names)
+            time.sleep(SERVED)
 
     # An external nodelet manager, which is started, ended and started again
 
