@@ -27,7 +27,12 @@ import rospy
 from rosgraph.roslogging import RosStreamHandler
 from rospy.impl.masterslave import ROSHandler
 from rospy.impl.paramserver import get_param_server_cache
-from rospy.impl.registration import RegManager, get_registration_listeners
+from rospy.impl.registration import (
+    RegManager,
+    get_registration_listeners,
+    get_service_manager,
+    get_topic_manager,
+)
 
 from dyknow import names
 from dyknow.errors import BadParameter, CannotRun, DyKnowError
@@ -45,6 +50,7 @@ _CLOSE_PATIENCE = 10.0
 _SHUTDOWN_PATIENCE = 2.0
 #: The same for a node that was never initialised.
 _SHORT_PATIENCE = 0.5
+_WITHDRAWAL_PATIENCE = 1.0  # seconds for other threads to withdraw what they are at
 _LOOK_AGAIN = 0.25  # seconds between two looks for a master that went away during the start
 #: Part of the master's shutdown message to a node whose name another one has registered.
 _DISPLACED = "new node registered with same name"
@@ -191,7 +197,7 @@ def init_node(name: str, **options: Any) -> threading.Event:
     """
     shut_down = threading.Event()
     # From now on: a hook that is added while a shutdown runs waits for its end, and is dropped.
-    rospy.on_shutdown(lambda: _hasten(shut_down))
+    rospy.core.add_preshutdown_hook(lambda reason: _prepare_end(shut_down))
     try:
         rospy.init_node(name, **options)
     except OSError as error:
@@ -204,16 +210,22 @@ def init_node(name: str, **options: Any) -> threading.Event:
     return shut_down
 
 
-def _hasten(shut_down: threading.Event) -> None:
-    """Set an event once the shutdown that begins has called its hooks, and wake rospy's thread.
+def _prepare_end(shut_down: threading.Event) -> None:
+    """Prepare rospy's withdrawal of all registrations, which follows; set an event at its end.
 
-    rospy wakes the thread that keeps registrations just before that may end, and then joins it:
-    it would look again within 0.5 s.
+    A thread that is just withdrawing one has taken it from rospy's lists already, and must tell
+    the master before the process ends: with these locks that is waited for. And rospy wakes the
+    thread that keeps registrations just before that may end, and then joins it: it would look
+    again within 0.5 s.
     """
     listeners = list(get_registration_listeners().listeners)
     managers = [listener for listener in listeners if isinstance(listener, RegManager)]
+    locks = (get_topic_manager().lock, get_service_manager().lock)
+    held = [lock for lock in locks if lock.acquire(timeout=_WITHDRAWAL_PATIENCE)]
 
     def end(reason: str) -> None:
+        for lock in held:
+            lock.release()
         for manager in managers:
             with manager.cond:
                 manager.cond.notify_all()

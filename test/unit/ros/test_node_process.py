@@ -19,7 +19,8 @@ from xmlrpc.server import SimpleXMLRPCServer
 master = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=True)
 master.register_function(lambda *words: (1, "", []), "any")
 dispatch = master._dispatch
-master._dispatch = lambda method, words: dispatch("any", words)
+master._dispatch = lambda method, words: dispatch(method if method in own else "any", words)
+own = set()
 threading.Thread(target=master.serve_forever, daemon=True).start()
 os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{master.server_address[1]}"
 
@@ -91,6 +92,40 @@ sys.exit(NodeProcess("node", ["node"], Runs).run())
 """
 
 
+#: The process ends while another thread is just about to tell the master.
+WITHDRAWN = """
+from rospy.impl.registration import RegistrationListeners
+from std_msgs.msg import Empty
+from dyknow.ros.process.node_process import NodeProcess
+
+begun = threading.Event()
+
+def withdraw(*words):
+    print("withdrawn", flush=True)
+    return 1, "", 1
+
+own.add("unregisterPublisher")
+master.register_function(withdraw, "unregisterPublisher")
+
+def notify(listeners, *words, notify=RegistrationListeners.notify_removed):
+    begun.set()
+    time.sleep(0.5)
+    notify(listeners, *words)
+
+RegistrationListeners.notify_removed = notify
+
+class Runs:
+    def __init__(self):
+        self.publisher = rospy.Publisher("words", Empty, queue_size=1)
+        process.end()
+
+    def close(self):
+        threading.Thread(target=self.publisher.unregister, daemon=True).start()
+        begun.wait()
+
+process = NodeProcess("node", ["node"], Runs)
+sys.exit(process.run())
+"""
 LOST = """
 def lose_master():
     master.shutdown()
@@ -131,6 +166,10 @@ def test_a_node_that_is_killed_while_it_starts_ends_in_order(tmp_path, code, sta
     ended, lines = ends(tmp_path, KILL + code)
     assert ended == status
     assert any(printed in line for line in lines), lines
+
+
+def test_the_end_waits_for_what_other_threads_withdraw(tmp_path):
+    assert ends(tmp_path, MASTER + WITHDRAWN) == (0, ["withdrawn", ""])
 
 
 #: The master comes back at its address, or the node is told to end.
