@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import logging
 import threading
 import time
@@ -113,8 +114,19 @@ class Registrar:
         # With all others: rospy forgets what the master has told it of the topic just now.
         with contextlib.suppress(PeerTimeout, LookupError):
             uris = {*uris, *map(self._master.node, self._master.publishers(topic))} - {""}
-        if self._manager is not None:
-            self._manager.publisher_update(topic, sorted(uris))
+        self._hear_of(topic, uris)
+
+    def _hear_of(self, topic: str, uris: Collection[str]) -> None:
+        """Let rospy connect to publishers of a topic, and to those that it is about to.
+
+        It takes the last list for the newest. An answer of the master may come after, but be older
+        than, the notification of a publisher that registered just then.
+        """
+        if self._manager is None:
+            return
+        with self._manager.cond:
+            waiting = (found for each, found in self._manager.updates if each == topic)
+            self._manager.publisher_update(topic, sorted({*uris, *itertools.chain(*waiting)}))
 
     def _connect(self, connect: Callable[..., None], connection: Any, *where: Any) -> None:
         """Connect to a publisher with rospy's function ``connect``, and receive its messages."""
@@ -216,8 +228,8 @@ class Registrar:
             self._peers[key] = others
         if kind == Registration.PUB:
             self._reminders.advertised(name, what, others)
-        elif self._manager is not None:
-            self._manager.publisher_update(name, peers)
+        else:
+            self._hear_of(name, peers)
         return True
 
     def _register_again(self, topic: str, datatype: str) -> Addresses | None:

@@ -105,14 +105,18 @@ def test_the_answer_is_returned_once(master, registrar):
 @pytest.mark.parametrize("is_away", [False, True])
 def test_publishers_that_were_left_are_connected_to_again(master, registrar, is_away):
     updates = []
-    registrar._manager = SimpleNamespace(publisher_update=lambda *update: updates.append(update))
+    registrar._manager = SimpleNamespace(
+        publisher_update=lambda *update: updates.append(update),
+        cond=threading.Condition(),
+        updates=[("/a", ["http://new:1/"]), ("/b", ["http://b:1/"])],  # about to be connected to
+    )
     state = [[["/a", ["/other"]], ["/b", ["/none"]]], [], []]
     master.newcomer = "http://newcomer:1/"
     if not is_away:
         master.server.register_function(lambda caller: (1, "", state), "getSystemState")
     registrar.connect_again("/a", {"http://left:1/"})
     others = [] if is_away else ["http://newcomer:1/"]
-    assert updates == [("/a", ["http://left:1/", *others])]
+    assert updates == [("/a", ["http://left:1/", "http://new:1/", *others])]
 
 
 @pytest.mark.parametrize("is_refused", [True, False])
