@@ -55,8 +55,8 @@ PERIOD = 0.2
 PATIENCE = 0.4
 #: Seconds between two queries of the master for our name, and for its answer.
 NAME_PERIOD = 1.0
-#: Queries in a row without an answer that tell that nobody will register this node again: a DyKnow
-#: manager does so within two seconds.
+#: Queries in a row that find no node of our name, until none is expected: a DyKnow manager
+#: registers nodes with a new master within two seconds.
 _FORGOTTEN = 4
 
 
@@ -264,7 +264,7 @@ def watch_name(
         uri: its address.
         end: called once, with the reason, when another address has the name.
         forgotten: called when the master has not known the name for some seconds: it is a new one,
-            and nobody has registered this node with it. A master that is away changes nothing.
+            with which no DyKnow manager has registered this node. One that is away does not count.
     """
     master = Master(name, timeout=NAME_PERIOD)
     missed = 0

@@ -71,7 +71,8 @@ class NodeProcess:
         node: default name of the node.
         argv: the command line with ROS's own arguments, program name first.
         start: called once the node is initialised; returns an object to close at the end, or
-            None if it failed and has said so. A `DyKnowError` is logged, and ends the process.
+            None if it failed and has said so. A `DyKnowError` is logged, and ends the process;
+            where the ROS master refuses a connection, everything begins again with the next one.
         on_displaced: called when the master says that another node has registered under this
             name; by default that ends the node, as rosnode kill does.
     """
@@ -218,20 +219,25 @@ def _prepare_end(shut_down: threading.Event) -> None:
     thread that keeps registrations just before that may end, and then joins it: it would look
     again within 0.5 s.
     """
-    listeners = list(get_registration_listeners().listeners)
-    managers = [listener for listener in listeners if isinstance(listener, RegManager)]
+    manager = registration_manager()
     locks = (get_topic_manager().lock, get_service_manager().lock)
     held = [lock for lock in locks if lock.acquire(timeout=_WITHDRAWAL_PATIENCE)]
 
     def end(reason: str) -> None:
         for lock in held:
             lock.release()
-        for manager in managers:
+        if manager is not None:
             with manager.cond:
                 manager.cond.notify_all()
         shut_down.set()
 
     rospy.core.add_shutdown_hook(end)
+
+
+def registration_manager() -> RegManager | None:
+    """Return rospy's keeper of registrations; None before the node is initialised."""
+    listeners = list(get_registration_listeners().listeners)
+    return next((each for each in listeners if isinstance(each, RegManager)), None)
 
 
 def name_of(argv: Sequence[str], default: str) -> str:

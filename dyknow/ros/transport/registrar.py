@@ -32,16 +32,12 @@ import rospy
 import rospy.core
 from rospy.exceptions import TransportInitError
 from rospy.impl import tcpros_pubsub
-from rospy.impl.registration import (
-    Registration,
-    RegManager,
-    get_registration_listeners,
-    get_topic_manager,
-)
+from rospy.impl.registration import Registration, get_topic_manager
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
 from dyknow.periodic import PeriodicWorker
+from dyknow.ros.process.node_process import registration_manager
 from dyknow.ros.transport.late_subscribers import Addresses, LateSubscribers, Reminders
 from dyknow.ros.wire.master import Master
 
@@ -83,16 +79,14 @@ class Registrar:
             "registering", self._settle, lambda: _AGAIN if self._owed else None, 0.0, _log
         )
         self._reminders = Reminders(self._register_again, self._connected)
-        self._manager: Any = None
+        self._manager: Any = registration_manager()
         #: When a connection to a publisher, by topic and address, failed last.
         self._refused: dict[tuple[str, str], float] = {}
-        for listener in list(get_registration_listeners().listeners):
-            if isinstance(listener, RegManager):
-                self._manager = listener
-                listener.reg_added = self.reg_added
-                listener.reg_removed = self.reg_removed
-                connect = functools.partial(self._connect, tcpros_pubsub.robust_connect_subscriber)
-                tcpros_pubsub.robust_connect_subscriber = connect
+        if self._manager is not None:
+            self._manager.reg_added = self.reg_added
+            self._manager.reg_removed = self.reg_removed
+            connect = functools.partial(self._connect, tcpros_pubsub.robust_connect_subscriber)
+            tcpros_pubsub.robust_connect_subscriber = connect
 
     def subscribers(self, topic: str) -> Addresses | None:
         """Addresses of the other nodes that subscribed when this process began to publish.

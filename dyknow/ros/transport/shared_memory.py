@@ -28,7 +28,6 @@ from typing import Any, Callable, Sequence, Tuple
 import genpy
 import rospy
 import rospy.core
-import rospy.impl.registration
 import rospy.impl.tcpros
 import rospy.impl.tcpros_base
 import rospy.impl.tcpros_pubsub
@@ -37,6 +36,7 @@ import rospy.impl.transport
 from dyknow.errors import HostError
 from dyknow.locks import state_lock
 from dyknow.periodic import NO_THREAD
+from dyknow.ros.process.node_process import registration_manager
 from dyknow.ros.transport.arena import Arena, ArenaReader
 from dyknow.ros.transport.outbound import SHMROS, Outbound, Share
 from dyknow.ros.transport.packing import (
@@ -172,11 +172,9 @@ class SharedMemory(rospy.impl.transport.ProtocolHandler):
     def start(cls, is_wanted: bool) -> SharedMemory:
         """Offer it beside TCPROS, if it is wanted; the node must be initialised."""
         handler = cls(is_wanted)
-        listeners = rospy.impl.registration.get_registration_listeners().listeners
-        for each in listeners if is_wanted else ():
-            if isinstance(each, rospy.impl.registration.RegManager):
-                # There are none any more where a shutdown has begun.
-                (each.handler.protocol_handlers or []).insert(0, handler)
+        manager = registration_manager()
+        if is_wanted and manager is not None and manager.handler.protocol_handlers:
+            manager.handler.protocol_handlers.insert(0, handler)  # none while a shutdown runs
         return handler
 
     # Of rospy's interface

@@ -23,6 +23,7 @@ from rospy.topics import _SubscriberImpl
 from std_msgs.msg import Header
 
 from dyknow.errors import PeerTimeout
+from dyknow.ros.process import node_process
 from dyknow.ros.transport import registrar as registrar_module
 from dyknow.ros.transport.registrar import Registrar, services_together
 from dyknow.ros.wire.master import Master
@@ -49,7 +50,7 @@ class OneMaster:
     def start(self):
         self.server = Server(("127.0.0.1", self.port), logRequests=False, allow_none=True)
         self.port = self.server.server_address[1]
-        for kind in ("Publisher", "Service"):
+        for kind in ("Publisher", "Subscriber", "Service"):
             self.server.register_function(self.register, f"register{kind}")
             self.server.register_function(self.unregister, f"unregister{kind}")
         self.server.register_function(self.look_up, "lookupNode")
@@ -119,12 +120,24 @@ def test_publishers_that_were_left_are_connected_to_again(master, registrar, is_
     assert updates == [("/a", ["http://left:1/", "http://new:1/", *others])]
 
 
+def test_a_publisher_that_came_in_the_same_moment_is_connected_to(master, registrar):
+    """The master notified this process of it before the answer, which is older, was read."""
+    updates = [("/a", ["http://new:1/"])]
+    registrar._manager = SimpleNamespace(
+        publisher_update=lambda *update: updates.append(update),
+        cond=threading.Condition(),
+        updates=updates,
+    )
+    registrar.reg_added("/a", STRING, "sub")
+    assert updates[-1] == ("/a", ["http://new:1/", "http://other:1"])
+
+
 @pytest.mark.parametrize("is_refused", [True, False])
 def test_a_publisher_that_refused_is_connected_to_when_it_is_back(is_refused, monkeypatch):
     """Where it is out of reach instead, when rospy has given it up."""
     listeners, manager = registration.RegistrationListeners(), RegManager(SimpleNamespace())
     listeners.add_listener(manager)
-    monkeypatch.setattr(registrar_module, "get_registration_listeners", lambda: listeners)
+    monkeypatch.setattr(node_process, "get_registration_listeners", lambda: listeners)
     for name in ("robust_connect_subscriber", "check_if_still_publisher"):  # restored
         monkeypatch.setattr(tcpros_pubsub, name, getattr(tcpros_pubsub, name))
     monkeypatch.setattr(tcpros_pubsub, "check_if_still_publisher", lambda topic, uri: is_refused)
