@@ -28,8 +28,8 @@ from dyknow_benchmark.session import (
     steps,
 )
 from dyknow_rqt.canvas.view import GraphView
-from dyknow_rqt.ros_remote import RosRemote
-from dyknow_rqt.simulated import spawn_relay
+from dyknow_rqt.monitoring.ros_remote import RosRemote
+from dyknow_rqt.monitoring.simulated import spawn_relay
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 _PATIENCE = 180.0

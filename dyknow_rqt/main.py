@@ -14,7 +14,7 @@ from python_qt_binding.QtCore import QSettings, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication, QMainWindow
 from rosgraph import myargv
 
-from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.monitoring.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget, spare_imports
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from python_qt_binding.QtCore import QTimer
 from rqt_gui_py.plugin import Plugin
 
-from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.monitoring.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget, make_room, spare_imports
 
 _KEY = "dyknow"

@@ -24,7 +24,7 @@ from dyknow.model.graph import PortRef
 from dyknow.model.streams import StreamRequest
 from dyknow_rqt.graph.figure import Boxes
 from dyknow_rqt.graph.samples import Sample
-from dyknow_rqt.simulated import SimulatedRemote, soccer, tree
+from dyknow_rqt.monitoring.simulated import SimulatedRemote, soccer, tree
 from dyknow_rqt.window import DyKnowWidget
 
 #: Does something with a window and its manager; its name is that of the picture.

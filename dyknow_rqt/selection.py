@@ -11,7 +11,7 @@ from python_qt_binding.QtCore import QObject, Signal
 
 from dyknow_rqt.graph.figure import Edge, Figure, VertexKind, key_of
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 
 #: The key of a vertex, or an arrow.
 Key = Union[str, Edge]

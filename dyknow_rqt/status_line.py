@@ -30,7 +30,7 @@ from dyknow.errors import DyKnowError
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.filters import BadFilter
 from dyknow_rqt.graph.health import Ill, Status, ills_of
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.widgets import row_of, wrapped
 
 _LOG = logging.getLogger("rosout.dyknow_rqt")

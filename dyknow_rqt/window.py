@@ -24,13 +24,13 @@ from python_qt_binding.QtWidgets import (
 
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.health import Ill
-from dyknow_rqt.graph_panel import GraphPanel
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.panel import GraphPanel
+from dyknow_rqt.monitoring.monitor import GraphMonitor
+from dyknow_rqt.monitoring.remote import Remote
 from dyknow_rqt.panels.connect import ConnectPanel
 from dyknow_rqt.panels.create import CreatePanel
 from dyknow_rqt.panels.lists import ActivePanel, LibraryPanel
 from dyknow_rqt.panels.streams import StreamsPanel
-from dyknow_rqt.remote import Remote
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import HealthLabel, StatusLine
 from dyknow_rqt.widgets import KeysDialog, bare_column_in

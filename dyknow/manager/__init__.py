@@ -6,8 +6,8 @@
 This layer is plain Python. It imports no ROS, and it reaches nodelets only through its
 injected collaborators, so all of it runs in tests without a roscore.
 
-Three parts of it are packages of their own: ``specifications`` (the library), ``planning`` (the
-cheapest way to a stream) and ``claims`` (streams on request, on top of everything else). The
-modules here are the manager itself: the model and the graph, the library and the durable store,
-the life of nodelets, the observer, and the seam to the host that runs them.
+Four parts of it are packages of their own: ``specifications`` (of transformations), ``planning``
+(the cheapest way to a stream), ``supervision`` (the life of nodelets) and ``claims`` (streams on
+request, on top of everything else). The modules here are the manager itself: the graph and its
+records, the library, the durable store, and the seam to the host that runs nodelets.
 """

@@ -17,13 +17,13 @@ from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow import names
 from dyknow.errors import DyKnowError, FixedTopics, HostError, HostTimeout, InvalidParameters
-from dyknow.manager.lifecycle import Lifecycle, ManagerContext
-from dyknow.manager.observer import Observer
 from dyknow.manager.record import Record, with_present_ports
-from dyknow.manager.restarts import Restarts
 from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
+from dyknow.manager.supervision.lifecycle import Lifecycle, ManagerContext
+from dyknow.manager.supervision.observer import Observer
+from dyknow.manager.supervision.restarts import Restarts
 from dyknow.model.graph import Model, ParameterSet, Restarted, SpawnRequest, State
 from dyknow.model.hosts import HostStatus
 from dyknow.model.transformation import NODE, Parameter, Program, Transformation

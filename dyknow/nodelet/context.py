@@ -20,10 +20,10 @@ from dyknow import names
 from dyknow.errors import BadQueueSize, NoMessageClass
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
-from dyknow.nodelet.bus import Bus, Endpoint
-from dyknow.nodelet.endpoints import Publication, Subscription
 from dyknow.nodelet.middleware import Closable, Codec, Middleware, Receive
 from dyknow.nodelet.scheduler import Executor, Strand
+from dyknow.nodelet.streams.bus import Bus, Endpoint
+from dyknow.nodelet.streams.endpoints import Publication, Subscription
 from dyknow.nodelet.texts import encodable, sendable
 from dyknow.nodelet.timers import Timer, TimerQueue
 

@@ -40,11 +40,11 @@ from dyknow.errors import CannotMove, UnknownNodelet
 from dyknow.locks import state_lock
 from dyknow.model.transformation import IN, OUT
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.endpoints import MOST_KEPT, Connection, Publication, Subscription
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.middleware import Closable, OutsideSubscriber, Receive
-from dyknow.nodelet.parked import ParkedConnection, digest_of
 from dyknow.nodelet.scheduler import Strand
+from dyknow.nodelet.streams.endpoints import MOST_KEPT, Connection, Publication, Subscription
+from dyknow.nodelet.streams.parked import ParkedConnection, digest_of
 from dyknow.periodic import in_background
 
 #: Seconds for publishers and subscribers to connect to the new process, and for the publishers of

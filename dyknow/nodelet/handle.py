@@ -16,9 +16,9 @@ from typing import Any, Callable
 
 from dyknow import names
 from dyknow.errors import HandleClosed
-from dyknow.nodelet import pubsub
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.streams import pubsub
 from dyknow.nodelet.timers import Timer
 
 DEFAULT_BUFF_SIZE = 65536  # rospy's default, in bytes

@@ -35,7 +35,7 @@ from typing import Callable, Iterable, Mapping
 
 from dyknow import names
 from dyknow.locks import state_lock
-from dyknow.nodelet.endpoints import Fence
+from dyknow.nodelet.streams.endpoints import Fence
 
 DURATION = 2.0  # seconds that a lease holds; a manager that ends on purpose grants longer ones
 PROBE_AFTER = 0.8  # seconds without a renewal after which the manager's host is probed

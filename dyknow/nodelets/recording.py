@@ -17,7 +17,7 @@ import rosbag
 import rospy
 
 from dyknow.locks import state_lock
-from dyknow.nodelet.parked import latching
+from dyknow.nodelet.streams.parked import latching
 
 #: Bytes that a message takes besides its content, and that a number takes.
 OVERHEAD, _NUMBER = 1000, 32

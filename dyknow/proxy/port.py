@@ -23,11 +23,11 @@ from dyknow.locks import state_lock
 from dyknow.model.graph import PortState
 from dyknow.model.statistics import PortStatistics
 from dyknow.model.transformation import IN, OUT
-from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.endpoints import NOTHING, Publication, Traffic
 from dyknow.nodelet.middleware import Codec
-from dyknow.nodelet.pubsub import Publisher, Subscriber
+from dyknow.nodelet.streams.bus import Endpoint
+from dyknow.nodelet.streams.endpoints import NOTHING, Publication, Traffic
+from dyknow.nodelet.streams.pubsub import Publisher, Subscriber
 from dyknow.nodelet.timers import Timer
 
 #: Seconds without a message after which an in-port with a companion looks for publishers.

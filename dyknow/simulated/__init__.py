@@ -23,9 +23,9 @@ from dyknow.manager.claims.answers import StreamAnswers, refusal_of, unknown_nam
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.specifications.tags import written_bindings
 from dyknow.manager.store import Store
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.client import BaseManagerClient
 from dyknow.model.graph import Model, ParameterSet, PortState, Restarted, SpawnRequest
 from dyknow.model.hosts import HostStatus

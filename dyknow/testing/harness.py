@@ -18,10 +18,10 @@ from dyknow import names
 from dyknow.errors import UnknownPort
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.middleware import Handler, Middleware
-from dyknow.nodelet.pubsub import Publisher
 from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.nodelet.streams.pubsub import Publisher
 from dyknow.periodic import in_background
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.testing.middleware import (

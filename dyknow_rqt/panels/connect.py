@@ -17,7 +17,7 @@ from dyknow.model.transformation import IN, OUT
 from dyknow.wiring.ports import CannotConnect
 from dyknow_rqt.graph import wiring
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, field_of, form_in, row_of

@@ -31,7 +31,7 @@ from dyknow.model.transformation import Parameter, Transformation
 from dyknow_rqt.graph.changes import set_parameters, spawn
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import free_name
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import Panel
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import column_in, field_of, form_in

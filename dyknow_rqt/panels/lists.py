@@ -14,8 +14,8 @@ from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
 from dyknow_rqt.graph.changes import add_transformations, protect, remove_transformations
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, protection
-from dyknow_rqt.graph_edits import GraphEdits
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.edits import GraphEdits
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine

@@ -36,7 +36,7 @@ from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
 from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel, WayTree
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine

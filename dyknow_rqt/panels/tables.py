@@ -31,7 +31,7 @@ from python_qt_binding.QtWidgets import (
 )
 
 from dyknow_rqt.graph.ways import Way
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.status_line import StatusLine
 from dyknow_rqt.widgets import field_of, wrapped
 

@@ -13,7 +13,7 @@ namespace dyknow
 /// Looks for them from now on, and announces their nodelets; the parameter `~stuck_after` says after how long.
 void watchCallbacks();
 
-/// Describes a nodelet's callback that does not return, as dyknow/nodelet/leftovers.py; empty if it has none.
+/// Describes a nodelet's callback that does not return, as dyknow/nodelet/loading/leftovers.py; empty if it has none.
 std::string stuckCallback(const std::string& nodelet);
 
 }  // namespace dyknow

@@ -35,7 +35,7 @@ from dyknow_rqt import screenshots
 from dyknow_rqt.graph.changes import Change, spawn
 from dyknow_rqt.graph.snapshot import difference
 from dyknow_rqt.graph.wiring import connect, connect_topic
-from dyknow_rqt.ros_remote import RosRemote
+from dyknow_rqt.monitoring.ros_remote import RosRemote
 from dyknow_rqt.window import DyKnowWidget
 
 OUT, IN = PortRef("/count", "out"), PortRef("/relay", "in")

@@ -25,7 +25,7 @@ from dyknow.model.transformation import IN, OUT, Transformation, as_specificatio
 from dyknow.similar import did_you_mean
 
 if TYPE_CHECKING:
-    from dyknow.manager.specifications.ontology import Ontology
+    from dyknow.manager.specifications.ontologies.ontology import Ontology
 
 
 def _labels(nargs: str, text: str) -> Argument:
@@ -160,7 +160,7 @@ def _remove(arguments: argparse.Namespace, shell: Shell) -> int | None:
 def _check(arguments: argparse.Namespace, shell: Shell) -> int | None:
     ontology: Ontology | None = None
     if arguments.ontology:
-        from dyknow.manager.specifications.ontology import Ontology
+        from dyknow.manager.specifications.ontologies.ontology import Ontology
 
         ontology = Ontology(
             arguments.ontology, language=arguments.language, catalogues=arguments.catalogue

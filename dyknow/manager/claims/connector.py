@@ -21,10 +21,10 @@ from dyknow.manager.claims.claim_table import ClaimLock, ClaimTable
 from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.world import Config, World
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.manager import Manager
 from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, with_present_ports
 from dyknow.manager.steps import ReversibleStep, take_back
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState
 from dyknow.model.transformation import Transformation

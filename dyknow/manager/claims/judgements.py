@@ -30,8 +30,8 @@ from dyknow.manager.claims.limits import (
 )
 from dyknow.manager.claims.requirements import Requirements
 from dyknow.manager.claims.world import World
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.record import Record
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import State
 from dyknow.model.streams import NO_MESSAGE, UNKNOWN_AGE, ClaimState
 

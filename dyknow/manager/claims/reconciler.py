@@ -32,11 +32,11 @@ from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.repair import Repair
 from dyknow.manager.claims.requirements import is_own
-from dyknow.manager.lifecycle import ManagerContext, StreamKeeper
 from dyknow.manager.manager import Manager
-from dyknow.manager.observer import PERIOD
 from dyknow.manager.planning.problem import Demand, NoPlan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
+from dyknow.manager.supervision.lifecycle import ManagerContext, StreamKeeper
+from dyknow.manager.supervision.observer import PERIOD
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import PAUSE, attempt
 

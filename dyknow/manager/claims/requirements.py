@@ -22,10 +22,10 @@ from dyknow.manager.claims.claim_table import ClaimTable
 from dyknow.manager.claims.ends import VERDICTS
 from dyknow.manager.claims.world import World
 from dyknow.manager.host import HeardVerdict
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.planning.problem import NO_VERDICTS, Verdicts, canonical_tag, required_tags
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import VERDICT, Transformation

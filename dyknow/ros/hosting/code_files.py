@@ -20,7 +20,7 @@ from typing import Callable, Iterator, Mapping, Tuple
 from dyknow.errors import DyKnowError, HostError, UnknownNodeletType
 from dyknow.locks import state_lock
 from dyknow.model.transformation import NODE, Program, Transformation
-from dyknow.nodelet.module_files import (
+from dyknow.nodelet.loading.module_files import (
     Stamp,
     forget_bytecode,
     reached_from,
@@ -28,7 +28,7 @@ from dyknow.nodelet.module_files import (
     source_files,
     stamps,
 )
-from dyknow.nodelet.plugins import Package, Plugins, plugin_files
+from dyknow.nodelet.loading.plugins import Package, Plugins, plugin_files
 from dyknow.ros.hosting.installed import cpp_descriptions
 from dyknow.ros.process import programs
 

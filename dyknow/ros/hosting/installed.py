@@ -18,7 +18,7 @@ from lxml import etree
 from dyknow.errors import HostError, Problem
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import NODE, TOPIC, Program, Transformation
-from dyknow.nodelet.plugins import Plugins, plugin_files
+from dyknow.nodelet.loading.plugins import Plugins, plugin_files
 from dyknow.ros.process import programs
 from dyknow.ros.wire.message_classes import message_class
 from dyknow.similar import did_you_mean

@@ -19,7 +19,7 @@ from dyknow_msgs.msg import Verdict
 
 from dyknow.locks import state_lock
 from dyknow.manager.host import Count, HeardVerdict, Listening
-from dyknow.nodelet.parked import latching
+from dyknow.nodelet.streams.parked import latching
 from dyknow.periodic import Workers
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.wire.ages_and_sizes import age_of_serialised

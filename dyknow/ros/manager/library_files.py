@@ -24,13 +24,13 @@ import rospy
 from dyknow.errors import BadParameter, DyKnowError
 from dyknow.manager.library import Library
 from dyknow.manager.store import LABELS_OF_FILES, Store
-from dyknow.nodelet.module_files import Stamp, stamps
-from dyknow.nodelet.plugins import exports
+from dyknow.nodelet.loading.module_files import Stamp, stamps
+from dyknow.nodelet.loading.plugins import exports
 from dyknow.ros.hosting.installed import missing_here
 from dyknow.ros.manager.manager_settings import ManagerSettings
 
 if TYPE_CHECKING:
-    from dyknow.manager.specifications.ontology import Ontology
+    from dyknow.manager.specifications.ontologies.ontology import Ontology
 
 #: Seconds between two looks at the files.
 LOOK_PERIOD = 1.0
@@ -182,7 +182,7 @@ class LibraryFiles:
             self._related = (), {}
             return None
         # Here: rdflib takes its time to import.
-        from dyknow.manager.specifications.ontology import Ontology
+        from dyknow.manager.specifications.ontologies.ontology import Ontology
 
         before = stamps(paths)
         found = Ontology(

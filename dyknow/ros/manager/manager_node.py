@@ -31,12 +31,12 @@ from dyknow.manager.claims.answers import StreamAnswers
 from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext
-from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
-from dyknow.manager.spread import SPREAD_PERIOD, Spread
 from dyknow.manager.store import Store
-from dyknow.manager.watchdog import WATCH_PERIOD, Watchdog
+from dyknow.manager.supervision.lifecycle import ManagerContext
+from dyknow.manager.supervision.observer import PERIOD
+from dyknow.manager.supervision.spread import SPREAD_PERIOD, Spread
+from dyknow.manager.supervision.watchdog import WATCH_PERIOD, Watchdog
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.streams import ClaimState
 from dyknow.nodelet.middleware import Closable

@@ -18,7 +18,7 @@ import rospy
 from dyknow import names
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.watchdog import NO_WATCHDOG, WatchdogLimits
+from dyknow.manager.supervision.watchdog import NO_WATCHDOG, WatchdogLimits
 from dyknow.ros.manager import tenure
 from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process.os_process import only_for_owner

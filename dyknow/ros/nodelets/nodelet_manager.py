@@ -30,8 +30,8 @@ from dyknow.model.graph import NodeletKind
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.crash_record import CrashRecord
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.leftovers import StuckCallbacks
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.leftovers import StuckCallbacks
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.scheduler import Executor, WorkerPool
 from dyknow.nodelet.texts import encodable, sendable
@@ -308,7 +308,7 @@ class NodeletManager(Closable):
 
 def _declared_classes() -> Callable[[str, Context], type[Nodelet]]:
     # Here: a script in a process of its own does not wait for the parser of XML.
-    from dyknow.nodelet.plugins import ClassImports, Plugins, plugin_files
+    from dyknow.nodelet.loading.plugins import ClassImports, Plugins, plugin_files
     from dyknow.ros.scripts.modules import importer_with_libraries
 
     plugins, imports = Plugins(plugin_files), ClassImports(importer_with_libraries)

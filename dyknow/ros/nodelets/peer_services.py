@@ -31,13 +31,13 @@ from rospy.impl.registration import get_service_manager
 from rospy.impl.tcpros_service import ServiceImpl
 
 from dyknow.errors import DyKnowError, LimitExceeded, PeerTimeout
-from dyknow.nodelet.bus import Bus
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.hand_over import HandedTopic, HandOvers
 from dyknow.nodelet.leases import Leases, Sight, suspended_clock
-from dyknow.nodelet.leftovers import StuckCallbacks
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.leftovers import StuckCallbacks
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.middleware import DIGEST_SIZE, Closable
+from dyknow.nodelet.streams.bus import Bus
 from dyknow.nodelet.texts import sendable
 from dyknow.periodic import PeriodicWorker
 from dyknow.proxy.proxy import NodeletProxy

@@ -36,7 +36,7 @@ from rospy.impl.registration import (
 
 from dyknow import names
 from dyknow.errors import BadParameter, CannotRun, DyKnowError
-from dyknow.nodelet.memory import use_one_heap
+from dyknow.nodelet.loading.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
 from dyknow.ros.process import descriptors

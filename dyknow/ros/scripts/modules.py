@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Callable
 from dyknow import names
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.nodelet.importer import Importer
-from dyknow.nodelet.module_files import Dependents, reached_from
+from dyknow.nodelet.loading.importer import Importer
+from dyknow.nodelet.loading.module_files import Dependents, reached_from
 from dyknow.ros.scripts import process_view, rospy_view
 from dyknow.ros.scripts.sandbox import Sandbox, SandboxEnd
 
 if TYPE_CHECKING:  # a script of its own does not wait for its parser
-    from dyknow.nodelet.plugins import Package
+    from dyknow.nodelet.loading.plugins import Package
 
 #: Modules of ROS that look at files and at the master alone, and DyKnow itself: the process's.
 _APART = "catkin dyknow dyknow_msgs genmsg genpy numpy rosgraph roslib rospkg yaml".split()

@@ -22,7 +22,7 @@ from typing import Any, Callable, Collection, Dict
 
 from dyknow.errors import NeedsProcess
 from dyknow.locks import flag_lock
-from dyknow.nodelet.importer import Importer, Module, View
+from dyknow.nodelet.loading.importer import Importer, Module, View
 from dyknow.periodic import NO_THREAD
 from dyknow.ros.scripts.sandbox import Sandbox
 

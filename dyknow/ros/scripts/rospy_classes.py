@@ -18,9 +18,9 @@ import genpy
 import rospy
 
 from dyknow.errors import HandleClosed
-from dyknow.nodelet import pubsub
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.streams import pubsub
 from dyknow.ros.scripts.sandbox import Sandbox, outside_of_finalizers
 from dyknow.ros.transport.conversions import connection_header, copy_of
 from dyknow.ros.transport.node import is_offered_within

@@ -24,7 +24,7 @@ import rospy.service
 import rospy.topics
 
 from dyknow import names
-from dyknow.nodelet.importer import Importer, Module, View
+from dyknow.nodelet.loading.importer import Importer, Module, View
 from dyknow.ros.scripts.rospy_classes import bound_classes, wait_for, wait_for_service
 from dyknow.ros.scripts.sandbox import Sandbox
 from dyknow.ros.transport.node import own_logs

@@ -15,7 +15,7 @@ import rospy
 from dyknow.errors import CannotRun, NeedsProcess, ScriptEnded
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.module_files import script_file
+from dyknow.nodelet.loading.module_files import script_file
 from dyknow.ros.process.programs import find_script
 from dyknow.ros.scripts.modules import script_importer
 from dyknow.ros.scripts.sandbox import HOOKS_PATIENCE, Sandbox, SandboxEnd

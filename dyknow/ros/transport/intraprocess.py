@@ -44,8 +44,8 @@ from rospy.impl.transport import INBOUND, Transport
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import state_lock
-from dyknow.nodelet.endpoints import NOTHING, Connection
 from dyknow.nodelet.scheduler import Executor, Strand, message_lock
+from dyknow.nodelet.streams.endpoints import NOTHING, Connection
 from dyknow.periodic import NO_THREAD, in_background
 from dyknow.ros.transport.conversions import (
     TypedReceiver,

@@ -14,7 +14,7 @@ import rospy
 
 from dyknow.errors import PeerTimeout
 from dyknow.locks import assert_no_state_lock
-from dyknow.nodelet.memory import clear_frames
+from dyknow.nodelet.loading.memory import clear_frames
 from dyknow.nodelet.middleware import (
     Closable,
     Codec,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 from dyknow.manager.specifications.specification import parse_file
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"

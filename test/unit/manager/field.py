@@ -19,9 +19,9 @@ from dyknow.manager.claims.reconciler import open_reconciler
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.specifications.template import Concepts
 from dyknow.manager.store import Store
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import SpawnRequest, State
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.simulated.host import FakeHost

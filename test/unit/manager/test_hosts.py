@@ -14,8 +14,8 @@ from unit.manager.field import Field
 from unit.manager.world import World
 
 from dyknow.errors import DyKnowError
-from dyknow.manager.hosts import HostTable
 from dyknow.manager.record import Record
+from dyknow.manager.supervision.hosts import HostTable
 from dyknow.model.graph import NodeletKind
 from dyknow.model.hosts import ClockOffset, HostStatus, Machine, pins
 from dyknow.simulated.host import FakeHost

@@ -13,8 +13,8 @@ from unit.manager.world import Killed, World
 
 from dyknow.errors import HostError, HostTimeout, NameTaken
 from dyknow.manager.host import HostReport, LoadRequest
-from dyknow.manager.observer import PERIOD
 from dyknow.manager.record import Record
+from dyknow.manager.supervision.observer import PERIOD
 from dyknow.model.graph import NodeletKind, State
 from dyknow.periodic import PAUSE
 

@@ -19,7 +19,7 @@ from dyknow.errors import (
     OntologyFileError,
     UnknownConcept,
 )
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 
 BASE, OTHER = "http://example.org/#", "http://other.org/#"
 PREFIXES = f"""

@@ -17,8 +17,8 @@ from property_tests import examples
 from unit.manager.test_ontology import BASE, FIRST_LINE, PREFIXES, Load, loader
 
 from dyknow.errors import OntologyFileError
-from dyknow.manager.specifications import ontology_statements
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies import statements as ontology_statements
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from unit.manager.test_ontology import BASE, FIRST_LINE, PREFIXES
 
 from dyknow.errors import OntologyFileError
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 
 CATALOGUE = "catalog-v001.xml"
 NAMESPACE = 'xmlns="urn:oasis:names:tc:entity:xmlns:xml:catalog"'

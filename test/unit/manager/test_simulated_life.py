@@ -11,7 +11,7 @@ import pytest
 from unit.manager.field import library, specification
 
 from dyknow.errors import HostError
-from dyknow.manager.observer import PERIOD
+from dyknow.manager.supervision.observer import PERIOD
 from dyknow.model.graph import SpawnRequest
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.periodic import PAUSE

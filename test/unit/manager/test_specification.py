@@ -16,7 +16,7 @@ from specification_strategies import transformations
 from dyknow.errors import Problem, SpecificationError
 from dyknow.manager.specifications import findings
 from dyknow.manager.specifications.limits import SpecificationLimits
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 from dyknow.manager.specifications.specification import parse, parse_file
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.transformation import Parameter, Port, Program, Transformation

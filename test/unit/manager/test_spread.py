@@ -16,7 +16,7 @@ from unit.manager.world import World
 
 from dyknow.errors import HostTimeout
 from dyknow.manager.host import Usage
-from dyknow.manager.spread import WINDOW, Spread
+from dyknow.manager.supervision.spread import WINDOW, Spread
 from dyknow.model.graph import NodeletKind
 
 LIMIT = 0.7

@@ -15,7 +15,7 @@ from unit.manager.world import World
 from dyknow import names
 from dyknow.errors import HostError, NoPlanFound
 from dyknow.manager.host import Crash
-from dyknow.manager.suspects import ENOUGH, MEMORY, Suspects
+from dyknow.manager.supervision.suspects import ENOUGH, MEMORY, Suspects
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
 

@@ -11,7 +11,7 @@ from unit.manager.world import RELAY, World
 
 from dyknow.errors import Denied, HostTimeout
 from dyknow.guards import Guards
-from dyknow.manager.watchdog import Watchdog, WatchdogLimits
+from dyknow.manager.supervision.watchdog import Watchdog, WatchdogLimits
 from dyknow.model.graph import STUCK
 
 LIMITS = WatchdogLimits(hung=10.0, stuck=20.0, memory=500.0)

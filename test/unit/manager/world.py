@@ -10,9 +10,9 @@ from typing import Any
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.graph import Graph
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import ManagerContext
 from dyknow.manager.manager import Manager
 from dyknow.manager.store import Store
+from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import SpawnRequest
 from dyknow.periodic import STEADY, Clock
 from dyknow.simulated.host import FakeHost

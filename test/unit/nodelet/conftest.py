@@ -11,7 +11,7 @@ import pytest
 from clocks import PATIENCE, Gate
 from unit.nodelet.fakes import World
 
-from dyknow.nodelet import loader
+from dyknow.nodelet.loading import loader
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from clocks import PATIENCE, eventually
 import dyknow
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import PlainNodeHandle
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.local import LocalMiddleware, LocalPublisher, LocalSubscriber, LocalTransport
 from dyknow.nodelet.scheduler import Executor, ManualExecutor, WorkerPool
 

@@ -18,7 +18,7 @@ from unit.nodelet.fakes import Message, World, pool_world
 import dyknow
 from dyknow.errors import LoadFailed
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.memory import break_cycles
+from dyknow.nodelet.loading.memory import break_cycles
 
 world = pool_world(3)
 

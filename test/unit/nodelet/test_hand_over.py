@@ -23,10 +23,10 @@ from unit.nodelet.fakes import FakeClock, Message, World, make_pool_world
 import dyknow
 from dyknow.errors import CannotMove, DyKnowError, UnknownNodelet, UnloadedMeanwhile
 from dyknow.nodelet import hand_over
-from dyknow.nodelet.endpoints import MOST_KEPT
 from dyknow.nodelet.hand_over import HandOvers
-from dyknow.nodelet.parked import LATENESS
 from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.nodelet.streams.endpoints import MOST_KEPT
+from dyknow.nodelet.streams.parked import LATENESS
 
 NAME = "/moving"
 WIRING = {"/in": "/t", "/out": "/o"}

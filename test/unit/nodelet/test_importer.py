@@ -17,8 +17,8 @@ from typing import Any, Callable, Dict, List
 import pytest
 from clocks import in_thread, join
 
-from dyknow.nodelet.importer import Importer, View
-from dyknow.nodelet.module_files import (
+from dyknow.nodelet.loading.importer import Importer, View
+from dyknow.nodelet.loading.module_files import (
     Dependents,
     is_standard,
     reached_from,

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dyknow.names import FORMS, below
-from dyknow.nodelet.endpoints import Fence
 from dyknow.nodelet.leases import DURATION, EXTENSIONS, Leases, Sight
+from dyknow.nodelet.streams.endpoints import Fence
 from dyknow.ros.hosting.grants import PARTING, YOUTH, Lease, PeerContext
 from dyknow.ros.wire.master import Master
 

@@ -21,9 +21,9 @@ from dyknow.errors import (
     UnknownNodelet,
     UnloadedMeanwhile,
 )
-from dyknow.nodelet import loader as loader_module
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading import loader as loader_module
+from dyknow.nodelet.loading.loader import Loader
 
 world = pool_world(3)
 

@@ -17,8 +17,8 @@ from typing import Any, List
 import pytest
 
 from dyknow.errors import BrokenPlugin, UnknownNodeletType
-from dyknow.nodelet.importer import Importer
-from dyknow.nodelet.plugins import ClassImports, PluginClass, PluginFile, Plugins, read
+from dyknow.nodelet.loading.importer import Importer
+from dyknow.nodelet.loading.plugins import ClassImports, PluginClass, PluginFile, Plugins, read
 
 GOOD = """
 <library path="src">

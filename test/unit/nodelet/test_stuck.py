@@ -17,9 +17,9 @@ import dyknow
 from dyknow.errors import DyKnowError, UnloadedMeanwhile
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.leftovers import StuckCallbacks
-from dyknow.nodelet.loader import Loader
-from dyknow.nodelet.pubsub import Subscriber
+from dyknow.nodelet.loading.leftovers import StuckCallbacks
+from dyknow.nodelet.loading.loader import Loader
+from dyknow.nodelet.streams.pubsub import Subscriber
 
 
 class Hanging(Nodelet):

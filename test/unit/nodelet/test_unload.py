@@ -16,9 +16,9 @@ from clocks import eventually, in_thread, wait_for
 from unit.nodelet.fakes import FakeClock, Idle, Message, World, numbers, pool_world
 
 from dyknow.errors import HandleClosed, UnknownNodelet
-from dyknow.nodelet import loader as loader_module
 from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
-from dyknow.nodelet.loader import SHUTDOWN_PATIENCE, Loader
+from dyknow.nodelet.loading import loader as loader_module
+from dyknow.nodelet.loading.loader import SHUTDOWN_PATIENCE, Loader
 from dyknow.nodelet.local import LocalPublisher
 
 world = pool_world(3)

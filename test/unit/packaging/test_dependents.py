@@ -37,7 +37,7 @@ print(len(names))
 """
 LOOK_UP = """
 from dyknow.errors import UnknownNodeletType
-from dyknow.nodelet.plugins import Plugins, plugin_files
+from dyknow.nodelet.loading.plugins import Plugins, plugin_files
 from dyknow.ros.hosting.installed import cpp_classes
 try:
     Plugins(plugin_files).find("none/Such")

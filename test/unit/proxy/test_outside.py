@@ -13,8 +13,8 @@ from unit.nodelet.fakes import Message, numbers
 from unit.proxy.bench import Bench
 
 from dyknow.errors import HandleClosed, PeerTimeout, UnloadedMeanwhile
-from dyknow.nodelet.awaited import AwaitedPublisher
 from dyknow.nodelet.local import LocalPublisher, LocalSubscriber
+from dyknow.nodelet.streams.awaited import AwaitedPublisher
 
 
 class Draining(LocalSubscriber):

@@ -12,7 +12,7 @@ import rospy
 from clocks import eventually
 
 from dyknow.nodelet.context import Runtime
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.nodelet.local import LocalMiddleware
 from dyknow.nodelet.scheduler import ManualExecutor, WorkerPool
 from dyknow.ros.scripts.script import ScriptNodelet

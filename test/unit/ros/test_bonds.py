@@ -15,7 +15,7 @@ from clocks import in_thread, join, wait_for
 from unit.nodelet.fakes import Idle, make_pool_world
 
 from dyknow.model.streams import StreamRequest
-from dyknow.nodelet.loader import Loader
+from dyknow.nodelet.loading.loader import Loader
 from dyknow.ros.bonding import bonded
 from dyknow.ros.bonding.bond_table import BondTable, BondTimings, DuplicateBond
 from dyknow.ros.bonding.bonded import BondedNodelets, ClaimBonds

@@ -26,7 +26,7 @@ from dyknow.backoff import Backoff
 from dyknow.errors import HostError, PeerTimeout
 from dyknow.manager.host import Crash, HostReport, LoadRequest
 from dyknow.manager.store import Store
-from dyknow.manager.suspects import MEMORY, Suspects
+from dyknow.manager.supervision.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind, State
 from dyknow.ros.hosting import child_records, fixed_nodelets
 from dyknow.ros.hosting import children as children_module

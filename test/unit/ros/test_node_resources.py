@@ -181,7 +181,7 @@ def test_a_server_that_begins_after_its_end_has_no_traceback():
 
 CODE = """
 import threading
-from dyknow.nodelet.memory import return_free_memory
+from dyknow.nodelet.loading.memory import return_free_memory
 from dyknow.ros.process.node_process import NodeProcess
 
 def resident():

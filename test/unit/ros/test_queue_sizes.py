@@ -19,8 +19,8 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
 
-from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.scheduler import ManualExecutor
+from dyknow.nodelet.streams.endpoints import Publication
 from dyknow.ros.transport import intraprocess, topics
 from dyknow.ros.transport.intraprocess import OrdinaryHandles
 from dyknow.ros.transport.late_subscribers import LONGEST, LateSubscribers

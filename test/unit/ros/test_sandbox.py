@@ -16,8 +16,8 @@ import pytest
 from clocks import PATIENCE, in_thread, join, wait_for
 
 from dyknow.errors import LoadFailed, UnloadedMeanwhile
-from dyknow.nodelet import loader
-from dyknow.nodelet.plugins import Package
+from dyknow.nodelet.loading import loader
+from dyknow.nodelet.loading.plugins import Package
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.modules import importer_with_libraries
 from dyknow.ros.scripts.process_view import process_views

@@ -18,7 +18,7 @@ def patient_window(request, monkeypatch):
 
 @pytest.fixture
 def remote():
-    from dyknow_rqt.simulated import soccer
+    from dyknow_rqt.monitoring.simulated import soccer
 
     return soccer()
 

@@ -32,7 +32,7 @@ from dyknow_rqt.graph.changes import (
 )
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph.wiring import connect, connect_topic, disconnect, topics_for
-from dyknow_rqt.simulated import soccer
+from dyknow_rqt.monitoring.simulated import soccer
 
 CEILING = PortRef("/field/ceiling_camera", "field_position")
 TRACKER = PortRef("/field/tracker", "position")

@@ -16,7 +16,7 @@ from unit.rqt.hands import centre_of, drag, turn_wheel, until, vertex_keys
 
 from dyknow.model.graph import PortRef
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.graph_files import save_drawing
+from dyknow_rqt.graph_panel.files import save_drawing
 
 
 def test_the_wheel_zooms_where_the_pointer_is(qtbot, view):

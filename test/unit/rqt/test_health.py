@@ -25,9 +25,9 @@ from dyknow_rqt.graph.changes import Change, protect, spawn
 from dyknow_rqt.graph.health import Contact, ills_of
 from dyknow_rqt.graph.measurements import PortRate
 from dyknow_rqt.graph.snapshot import Snapshot
-from dyknow_rqt.heartbeat import Heartbeat
+from dyknow_rqt.monitoring.heartbeat import Heartbeat
+from dyknow_rqt.monitoring.simulated import soccer
 from dyknow_rqt.screenshots import dark_palette
-from dyknow_rqt.simulated import soccer
 
 _MASTER = "http://robot:11311"
 _STEPS = {

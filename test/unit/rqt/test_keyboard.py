@@ -18,7 +18,7 @@ from python_qt_binding.QtWidgets import (
 )
 from unit.rqt.hands import CEILING, button_of, create, description_of, texts_of, until
 
-from dyknow_rqt.simulated import soccer
+from dyknow_rqt.monitoring.simulated import soccer
 from dyknow_rqt.widgets import KEYS, KeysDialog
 
 

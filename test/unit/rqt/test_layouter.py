@@ -14,7 +14,7 @@ from unit.rqt.test_graph import chains, check_boxes, figure_of_all, nodelet, siz
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.layout import DrawingOrder
 from dyknow_rqt.graph.stabilise import MOST_MOVED, backwards, moved
-from dyknow_rqt.layouter import Layouter
+from dyknow_rqt.graph_panel.layouter import Layouter
 
 
 class Watched:

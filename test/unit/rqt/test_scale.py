@@ -18,9 +18,9 @@ from dyknow.formulas import Truth
 from dyknow_rqt.background_calls import Slices
 from dyknow_rqt.canvas import arrows, vertices
 from dyknow_rqt.canvas.overview import FAR
-from dyknow_rqt.graph_files import save_drawing
+from dyknow_rqt.graph_panel.files import save_drawing
+from dyknow_rqt.monitoring.simulated import tree
 from dyknow_rqt.screenshots import dark_palette
-from dyknow_rqt.simulated import tree
 from dyknow_rqt.window import DyKnowWidget
 
 _COUNT = 200

@@ -163,7 +163,7 @@ def test_what_replaces_another_is_linked_with_it(qtbot, window, remote, marks):
 def track(qtbot, window, remote, monkeypatch):
     """The time-line of four moments that are ten seconds apart, opened with its key."""
     clock, monitor = SimpleNamespace(**vars(time)), window.monitor
-    monkeypatch.setattr("dyknow_rqt.timeline.time", clock)
+    monkeypatch.setattr("dyknow_rqt.graph_panel.timeline.time", clock)
 
     def is_read():
         names = [{each.name for each in of.nodelets} for of in (monitor.snapshot, remote.graph())]

@@ -33,7 +33,7 @@ from dyknow.model.graph import SpawnRequest
 from dyknow.model.transformation import as_specification
 from dyknow_rqt.graph.changes import add_transformations, destroy, protect, spawn
 from dyknow_rqt.graph.wiring import connect_topic
-from dyknow_rqt.simulated import tree
+from dyknow_rqt.monitoring.simulated import tree
 from dyknow_rqt.window import DyKnowWidget, make_room
 
 

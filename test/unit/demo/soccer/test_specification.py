@@ -12,7 +12,7 @@ import pytest
 
 from dyknow.manager.planning.planner import Planner
 from dyknow.manager.planning.problem import Demand, Live, NoPlan
-from dyknow.manager.specifications.ontology import Ontology
+from dyknow.manager.specifications.ontologies.ontology import Ontology
 from dyknow.manager.specifications.specification import parse_file
 from dyknow.manager.specifications.tags import parse_tag
 

@@ -13,7 +13,7 @@ from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.model.streams import StreamStatus
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.health import Contact
-from dyknow_rqt.remote import Remote
+from dyknow_rqt.monitoring.remote import Remote
 
 #: Milliseconds from beat to beat, and beats from question to question.
 _PERIOD, _BEATS = 250, 4

@@ -22,7 +22,7 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from typing import Any, Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 
 from dyknow.locks import module_lock
-from dyknow.nodelet.module_files import forget_bytecode, is_standard, package_spec
+from dyknow.nodelet.loading.module_files import forget_bytecode, is_standard, package_spec
 from dyknow.periodic import current_frames
 
 Module = types.ModuleType

@@ -17,8 +17,8 @@ from typing import NamedTuple, Sequence
 import rdflib
 
 from dyknow.errors import Problem
-from dyknow.manager.specifications.ontology_files import OntologyFile, OntologyFiles
-from dyknow.manager.specifications.ontology_names import Labels, Naming, local_name
+from dyknow.manager.specifications.ontologies.files import OntologyFile, OntologyFiles
+from dyknow.manager.specifications.ontologies.names import Labels, Naming, local_name
 
 #: Most remarks that are listed for one file.
 _LISTED = 100

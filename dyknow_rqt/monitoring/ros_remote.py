@@ -31,7 +31,7 @@ from dyknow.ros.wire.messages import counts_from, event_from, model_from
 from dyknow.ros.wire.topic_reader import TopicFollower
 from dyknow_rqt.graph.samples import Sample, sample_of
 from dyknow_rqt.graph.snapshot import Side, Transports
-from dyknow_rqt.remote import Remote
+from dyknow_rqt.monitoring.remote import Remote
 
 #: Seconds for a node to name its connections.
 _PATIENCE = 1.0

@@ -29,11 +29,11 @@ from typing import Any, Callable, Mapping, Sequence, Union
 
 from dyknow.errors import HandleClosed, TypeMismatch
 from dyknow.locks import state_lock
-from dyknow.nodelet.awaited import AwaitedPublisher
-from dyknow.nodelet.endpoints import NOTHING, Connection, Fence, Publication, Subscription
 from dyknow.nodelet.middleware import OutsidePublisher, OutsideSubscriber, Transport
-from dyknow.nodelet.parked import ParkedConnection
 from dyknow.nodelet.scheduler import Clock
+from dyknow.nodelet.streams.awaited import AwaitedPublisher
+from dyknow.nodelet.streams.endpoints import NOTHING, Connection, Fence, Publication, Subscription
+from dyknow.nodelet.streams.parked import ParkedConnection
 from dyknow.periodic import NO_THREAD, in_background
 
 #: How long the registration of an old topic stays at most while its messages are being sent, in s.

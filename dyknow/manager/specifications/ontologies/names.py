@@ -13,7 +13,7 @@ import rdflib
 from rdflib import RDFS
 
 from dyknow.errors import OntologyError
-from dyknow.manager.specifications.ontology_files import OntologyFile
+from dyknow.manager.specifications.ontologies.files import OntologyFile
 
 _BLANK = "_:"
 _LANGUAGE = re.compile(r"[A-Za-z]{1,8}(-[A-Za-z0-9]{1,8})*\Z")

@@ -13,8 +13,8 @@ import collections
 import functools
 from typing import Any, Callable, Counter, Sequence
 
-from dyknow.nodelet.endpoints import Connection, Subscription
 from dyknow.nodelet.scheduler import message_lock
+from dyknow.nodelet.streams.endpoints import Connection, Subscription
 
 #: Seconds for which a message may be late here that the other process had received.
 LATENESS = 3.0

@@ -17,9 +17,9 @@ from dyknow.model.graph import PortRef
 from dyknow_rqt.graph import changes
 from dyknow_rqt.graph.figure import Edge, Group, VertexKind, edge_refs
 from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed, not_ours, protection
-from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.graph_edits import GraphEdits
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.bar import GraphBar
+from dyknow_rqt.graph_panel.edits import GraphEdits
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 
 

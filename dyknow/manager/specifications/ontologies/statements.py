@@ -18,10 +18,10 @@ import rdflib
 from rdflib import OWL, RDF, RDFS
 
 from dyknow.errors import OntologyFileError
-from dyknow.manager.specifications.ontology_files import OntologyFiles
-from dyknow.manager.specifications.ontology_hierarchy import Hierarchy
-from dyknow.manager.specifications.ontology_names import local_name, node_key
-from dyknow.manager.specifications.ontology_remarks import Remarks
+from dyknow.manager.specifications.ontologies.files import OntologyFiles
+from dyknow.manager.specifications.ontologies.hierarchy import Hierarchy
+from dyknow.manager.specifications.ontologies.names import local_name, node_key
+from dyknow.manager.specifications.ontologies.remarks import Remarks
 
 Node = rdflib.term.Node
 

@@ -13,10 +13,10 @@ from __future__ import annotations
 import functools
 from typing import Any, Callable, Sequence
 
-from dyknow.nodelet.bus import Endpoint
 from dyknow.nodelet.context import Context, check_message_class
-from dyknow.nodelet.endpoints import Publication
 from dyknow.nodelet.middleware import Closable
+from dyknow.nodelet.streams.bus import Endpoint
+from dyknow.nodelet.streams.endpoints import Publication
 
 
 class _Handle:

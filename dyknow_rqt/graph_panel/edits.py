@@ -21,7 +21,7 @@ from dyknow_rqt.graph import changes, wiring
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Places, Point
 from dyknow_rqt.graph.snapshot import not_destroyed
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine

@@ -20,8 +20,8 @@ import time
 from typing import Any
 
 from dyknow.locks import state_lock
-from dyknow.nodelet.endpoints import MOST_KEPT, NOTHING
 from dyknow.nodelet.middleware import OutsidePublisher
+from dyknow.nodelet.streams.endpoints import MOST_KEPT, NOTHING
 
 #: Seconds for which a later message waits at most until those that were kept are sent.
 _LONGEST_PASSING = 1.0

@@ -15,7 +15,7 @@ from python_qt_binding.QtWidgets import QLabel, QWidget
 from dyknow.model.streams import ClaimState
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, difference
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.widgets import bare_column_in, wrapped
 
 #: Pixels: the line with the moments, a lane of a claim, the most lanes, the margin at the ends.

@@ -19,8 +19,8 @@ from dyknow_rqt.canvas.appearance import sizes_of
 from dyknow_rqt.canvas.scene import GraphScene
 from dyknow_rqt.graph.changes import load_wiring
 from dyknow_rqt.graph.layout import to_dot
-from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.bar import GraphBar
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 
 _KINDS = ("DOT (*.dot)", "SVG (*.svg)", "PNG (*.png)")
 _FILES = "Wirings (*.xml);;All files (*)"

@@ -22,16 +22,16 @@ from dyknow_rqt.graph.layout import DrawingOrder
 from dyknow_rqt.graph.measurements import PortRate
 from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Snapshot
 from dyknow_rqt.graph.ways import WayPart, fates_of, with_ghosts
-from dyknow_rqt.graph_bar import GraphBar
-from dyknow_rqt.graph_edits import GraphEdits
-from dyknow_rqt.graph_files import GraphFiles
-from dyknow_rqt.graph_menus import menu_of, menu_of_ground, menu_of_port
-from dyknow_rqt.layouter import Layouter
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.bar import GraphBar
+from dyknow_rqt.graph_panel.edits import GraphEdits
+from dyknow_rqt.graph_panel.files import GraphFiles
+from dyknow_rqt.graph_panel.layouter import Layouter
+from dyknow_rqt.graph_panel.menus import menu_of, menu_of_ground, menu_of_port
+from dyknow_rqt.graph_panel.timeline import TimelinePanel
+from dyknow_rqt.graph_panel.topic_card import TopicCard
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.selection import Selection
 from dyknow_rqt.status_line import StatusLine
-from dyknow_rqt.timeline import TimelinePanel
-from dyknow_rqt.topic_card import TopicCard
 from dyknow_rqt.widgets import Sign, bare_column_in
 
 #: Milliseconds that a view must keep its size before the graph follows.

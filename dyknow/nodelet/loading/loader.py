@@ -25,8 +25,8 @@ from dyknow.errors import LoadFailed, NameTaken, UnknownNodelet, UnloadedMeanwhi
 from dyknow.locks import state_condition
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.leftovers import Leftovers
-from dyknow.nodelet.memory import clear_frames
+from dyknow.nodelet.loading.leftovers import Leftovers
+from dyknow.nodelet.loading.memory import clear_frames
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import NO_THREAD, in_background
 

@@ -19,8 +19,8 @@ from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.canvas.appearance import colours_of
 from dyknow_rqt.canvas.view import GraphView, topic_of
 from dyknow_rqt.graph.samples import HIGHEST, WIDEST, Sample, SmallImage
-from dyknow_rqt.graph_menus import VIEWERS, add_viewers
-from dyknow_rqt.monitor import GraphMonitor
+from dyknow_rqt.graph_panel.menus import VIEWERS, add_viewers
+from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.widgets import column_in, row_of, text_of
 
 #: Seconds that a curve shows, and milliseconds from one look at the age to the next.

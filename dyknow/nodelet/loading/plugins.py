@@ -29,8 +29,8 @@ from dyknow.errors import BrokenPlugin, UnknownNodeletType
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
-from dyknow.nodelet.importer import Importer, Module
-from dyknow.nodelet.module_files import (
+from dyknow.nodelet.loading.importer import Importer, Module
+from dyknow.nodelet.loading.module_files import (
     CatkinFinder,
     Stamp,
     forget_bytecode,

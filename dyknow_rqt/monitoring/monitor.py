@@ -28,8 +28,8 @@ from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
 from dyknow_rqt.graph.measurements import Meter, PortRate, Strain, port_verdicts, verdict_sources
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
-from dyknow_rqt.heartbeat import Heartbeat
-from dyknow_rqt.remote import Remote
+from dyknow_rqt.monitoring.heartbeat import Heartbeat
+from dyknow_rqt.monitoring.remote import Remote
 
 T = TypeVar("T")
 

@@ -20,7 +20,7 @@ from dyknow.errors import DyKnowError
 from dyknow.manager.graph import Graph
 from dyknow.manager.host import Host, ProcessState, Usage
 from dyknow.manager.record import Record
-from dyknow.manager.restarts import is_movable
+from dyknow.manager.supervision.restarts import is_movable
 from dyknow.model.graph import NodeletKind
 from dyknow.model.transformation import FORMULA_CLASS
 

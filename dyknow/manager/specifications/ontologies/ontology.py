@@ -14,10 +14,10 @@ from typing import Iterable
 
 from dyknow.errors import IndividualsError, LabelsError, UnknownConcept
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
-from dyknow.manager.specifications.ontology_files import OntologyFiles
-from dyknow.manager.specifications.ontology_names import Labels, Naming, is_blank, local_name
-from dyknow.manager.specifications.ontology_remarks import Remarks
-from dyknow.manager.specifications.ontology_statements import OntologyStatements
+from dyknow.manager.specifications.ontologies.files import OntologyFiles
+from dyknow.manager.specifications.ontologies.names import Labels, Naming, is_blank, local_name
+from dyknow.manager.specifications.ontologies.remarks import Remarks
+from dyknow.manager.specifications.ontologies.statements import OntologyStatements
 
 
 class Ontology:

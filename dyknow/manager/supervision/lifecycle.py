@@ -35,7 +35,6 @@ from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_condition
 from dyknow.manager.graph import PATIENCE, Graph
 from dyknow.manager.host import Host, LoadRequest, ProcessState
-from dyknow.manager.hosts import HostTable
 from dyknow.manager.library import Library
 from dyknow.manager.record import (
     NOTHING_HEARD,
@@ -49,7 +48,8 @@ from dyknow.manager.record import (
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.store import Store
-from dyknow.manager.suspects import Suspects
+from dyknow.manager.supervision.hosts import HostTable
+from dyknow.manager.supervision.suspects import Suspects
 from dyknow.model.graph import NodeletKind, PortState, SpawnRequest, State
 from dyknow.model.hosts import AT
 from dyknow.model.transformation import NODE, Port, Program, Transformation

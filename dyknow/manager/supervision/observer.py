@@ -22,7 +22,6 @@ from dyknow.backoff import Backoff
 from dyknow.errors import Busy, HostError, NameTaken
 from dyknow.locks import turn_lock
 from dyknow.manager.host import Crash, HostReport, ProcessState, Reported
-from dyknow.manager.lifecycle import Lifecycle, ManagerContext
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
@@ -31,7 +30,8 @@ from dyknow.manager.record import (
     seen_ports,
     with_present_ports,
 )
-from dyknow.manager.restarts import outdated
+from dyknow.manager.supervision.lifecycle import Lifecycle, ManagerContext
+from dyknow.manager.supervision.restarts import outdated
 from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
 from dyknow.periodic import PAUSE

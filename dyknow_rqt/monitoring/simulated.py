@@ -20,7 +20,7 @@ from dyknow.periodic import PeriodicWorker
 from dyknow.simulated import SimulatedManagerClient
 from dyknow_rqt.graph.samples import Sample
 from dyknow_rqt.graph.snapshot import Side, Transports
-from dyknow_rqt.remote import Remote
+from dyknow_rqt.monitoring.remote import Remote
 
 #: Seconds.
 _COUNTS_PERIOD = 0.3

@@ -26,9 +26,9 @@ from dyknow.errors import (
 )
 from dyknow.manager.host import Host, ProcessState
 from dyknow.manager.library import Library
-from dyknow.manager.lifecycle import Lifecycle, ManagerContext, parameter_names
 from dyknow.manager.record import NOTHING_HEARD, Record
 from dyknow.manager.specifications.given import completed, undeclared
+from dyknow.manager.supervision.lifecycle import Lifecycle, ManagerContext, parameter_names
 from dyknow.model.graph import OUTDATED, NodeletKind, Restarted, State
 from dyknow.model.transformation import NODE, Program, Transformation
 

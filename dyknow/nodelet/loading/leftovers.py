@@ -24,13 +24,13 @@ from dyknow.locks import state_lock
 from dyknow.model.graph import STUCK
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import PlainNodeHandle, Service
-from dyknow.nodelet.memory import break_cycles, return_free_memory
-from dyknow.nodelet.pubsub import Publisher, Subscriber
+from dyknow.nodelet.loading.memory import break_cycles, return_free_memory
+from dyknow.nodelet.streams.pubsub import Publisher, Subscriber
 from dyknow.nodelet.timers import Timer
 from dyknow.periodic import NO_THREAD, PeriodicWorker, attempt, in_background
 
 if TYPE_CHECKING:
-    from dyknow.nodelet.loader import Loader
+    from dyknow.nodelet.loading.loader import Loader
 
 #: Seconds between two examinations, and at least between two returns of memory to the system.
 _PERIOD = 0.5
