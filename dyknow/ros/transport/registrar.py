@@ -133,18 +133,18 @@ class Registrar:
                 rospy_connect(*args, **options)
             except TransportInitError:
                 has_failed = True
-                if connection.socket is not None:  # it is refused; there is no other attempt
-                    connection.close()
+                if connection.socket is not None:  # there is no other attempt
+                    _close(connection)
                 raise
-            connection.connect, has_failed = rospy_connect, False
+            vars(connection).pop("connect", None)
+            has_failed = False
 
         connection.connect = attempt
         connect(connection, *where)
         if not has_failed or rospy.is_shutdown():
             return
         if connection.protocol is not None:  # it was given up, not closed
-            connection.done = False
-            connection.close()
+            _close(connection)
         now = time.monotonic()
         with self._lock:
             lately = {each: at for each, at in self._refused.items() if now - at < _AGAIN}
@@ -304,6 +304,16 @@ def services_together() -> Iterator[None]:
         if offered:
             registrar = offered[0][0]  # a process has one
             registrar.register_services([(name, uri) for _, name, uri in offered])
+
+
+def _close(connection: Any) -> None:
+    """Close a connection, also one that rospy closed before it had a socket, or has given up.
+
+    The publisher's process accepts no further connection until the header of this one has come,
+    or its end.
+    """
+    connection.done = False
+    connection.close()
 
 
 def _key(kind: str, name: str, datatype_or_uri: str) -> Key:

@@ -13,9 +13,9 @@ from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
-from clocks import PATIENCE, eventually
+from clocks import PATIENCE, eventually, patch_here
 from rospy.exceptions import TransportInitError
-from rospy.impl import registration, tcpros_pubsub
+from rospy.impl import registration, tcpros_base, tcpros_pubsub
 from rospy.impl.registration import RegManager
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSSub
@@ -132,19 +132,41 @@ def test_a_publisher_that_came_in_the_same_moment_is_connected_to(master, regist
     assert updates[-1] == ("/a", ["http://new:1/", "http://other:1"])
 
 
-@pytest.mark.parametrize("is_refused", [True, False])
-def test_a_publisher_that_refused_is_connected_to_when_it_is_back(is_refused, monkeypatch):
-    """Where it is out of reach instead, when rospy has given it up."""
+@pytest.fixture
+def again(monkeypatch):
+    """Topics to whose publishers a registrar, which makes the connections, connects again."""
     listeners, manager = registration.RegistrationListeners(), RegManager(SimpleNamespace())
     listeners.add_listener(manager)
     monkeypatch.setattr(node_process, "get_registration_listeners", lambda: listeners)
     for name in ("robust_connect_subscriber", "check_if_still_publisher"):  # restored
         monkeypatch.setattr(tcpros_pubsub, name, getattr(tcpros_pubsub, name))
+    registrar = Registrar(Master("/test", "http://127.0.0.1:1"))
+    topics: list[str] = []
+    monkeypatch.setattr(registrar, "connect_again", lambda topic, uris: topics.append(topic))
+    return topics
+
+
+def test_a_connection_that_is_closed_before_it_has_a_socket_is_closed(again, monkeypatch):
+    """rospy leaves it open, and silent; its publisher would wait for its header."""
+    connection = TCPROSTransport(TCPROSSub("/a", Header), "/a")
+    # rospy asks for this just before it keeps the socket; another connection replaces this one.
+    patch_here(monkeypatch, tcpros_base, "_is_use_tcp_keepalive", connection.close)
+    with socket.create_server(("127.0.0.1", 0)) as publisher:
+        publisher.settimeout(PATIENCE)
+        where = *publisher.getsockname(), "http://here:1/", None, "/a"
+        tcpros_pubsub.robust_connect_subscriber(connection, *where)
+        peer, _ = publisher.accept()
+        with peer:
+            peer.settimeout(PATIENCE)
+            assert peer.recv(1) == b""
+    assert again == ["/a"]
+
+
+@pytest.mark.parametrize("is_refused", [True, False])
+def test_a_publisher_that_refused_is_connected_to_when_it_is_back(is_refused, again, monkeypatch):
+    """Where it is out of reach instead, when rospy has given it up."""
     monkeypatch.setattr(tcpros_pubsub, "check_if_still_publisher", lambda topic, uri: is_refused)
     monkeypatch.setattr(tcpros_pubsub, "time", SimpleNamespace(sleep=lambda seconds: None))
-    registrar = Registrar(Master("/test", "http://127.0.0.1:1"))
-    again: list[str] = []
-    monkeypatch.setattr(registrar, "connect_again", lambda topic, uris: again.append(topic))
     subscriber = _SubscriberImpl("/a", Header)
 
     def connect(uri):
