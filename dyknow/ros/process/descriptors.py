@@ -10,7 +10,8 @@ rospy's server has a queue of five connections. When a nodelet manager comes bac
 of its topics connect within milliseconds; the kernel drops connections that do not fit, and these
 are tried again after 1 s, then after 3 s. And rospy's accepting thread ends for good when the
 process has no file descriptor left, and every service of the node with it: nodelets could not even
-be unloaded to free descriptors.
+be unloaded to free descriptors. And it waits for the header of each connection: a process that is
+suspended before it has sent its own would hold up all other connections.
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ import resource
 import select
 import socket
 import time
-from typing import Any, Iterator
+from typing import Any, Callable, Iterator
 
 import rospy.topics
 from rospy.impl.tcpros_base import init_tcpros_server
 
 from dyknow.errors import LimitExceeded
+from dyknow.periodic import NO_THREAD, in_background
 
 #: The limit is not raised further: some programs visit every possible descriptor.
 MOST = 65536
@@ -40,6 +42,10 @@ _PART = 8
 QUEUE = 128
 #: Seconds before the next attempt when no descriptor is left.
 _AGAIN = 0.1
+#: Milliseconds for which the header of a connection holds up the next connection.
+_HEADER_PATIENCE = 20
+
+Handler = Callable[[socket.socket, Any], None]
 
 _FAILED = select.POLLHUP | select.POLLERR | select.POLLRDHUP
 
@@ -95,6 +101,29 @@ def enlarge_queue() -> None:
     listener = server.tcp_ros_server
     listener.server_sock.listen(QUEUE)  # changes only the queue of a socket that listens
     listener.server_sock = PatientSocket(listener.server_sock)
+    listener.inbound_handler = once_it_speaks(listener.inbound_handler)
+
+
+def once_it_speaks(handle: Handler) -> Handler:
+    """Return a handler of connections that lets no silent one hold up those after it."""
+
+    def begin(connection: socket.socket, address: Any) -> None:
+        poll = select.poll()
+        poll.register(connection, select.POLLIN)
+
+        def finish() -> None:
+            poll.poll()
+            handle(connection, address)
+
+        if poll.poll(_HEADER_PATIENCE):
+            handle(connection, address)
+            return
+        try:
+            in_background("header of a connection", finish)
+        except NO_THREAD:
+            connection.close()
+
+    return begin
 
 
 class PatientSocket:

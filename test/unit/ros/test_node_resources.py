@@ -17,8 +17,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import rosgraph.network
 import rospy.topics
-from clocks import eventually, patch_here
+from clocks import PATIENCE, eventually, patch_here
 from rospy.impl import paramserver, tcpros_base
 from std_msgs.msg import Header
 
@@ -112,6 +113,17 @@ def test_the_queue_of_the_server_is_lengthened(server):
     listener = server.tcp_ros_server.server_sock
     information = listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 64)
     assert struct.unpack_from("<I", information, _QUEUE_AT)[0] == descriptors.QUEUE
+
+
+def test_a_connection_that_sends_nothing_holds_up_no_other_one(server):
+    """Such is that of a process which is suspended before it has sent its header."""
+    descriptors.enlarge_queue()
+    address = ("127.0.0.1", server.tcp_ros_server.port)
+    connections = [socket.create_connection(address, PATIENCE) for _ in range(3)]
+    for each in reversed(connections):
+        with each:
+            rosgraph.network.write_ros_handshake_header(each, {"neither": "topic nor service"})
+            assert each.recv(4), "the answer"
 
 
 class Exhausted:
