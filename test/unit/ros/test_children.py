@@ -94,7 +94,9 @@ def launcher(monkeypatch):
 @pytest.fixture
 def children(launcher):
     nowhere = Master("/manager", "http://127.0.0.1:9")
-    return Children(PeerContext(nowhere), launcher, "/", launcher.store)
+    children = Children(PeerContext(nowhere), launcher, "/", launcher.store)
+    yield children
+    children.end_all()
 
 
 def test_a_record_is_there_before_the_process_and_none_after_the_end(children, launcher):
@@ -127,7 +129,6 @@ def test_a_name_that_another_node_bears_is_told_at_once(children, launcher, monk
     assert answers == ["nodelet manager '/dyknow_nodelet_manager': another node has that name"]
     launcher.is_living = lambda name: False
     wait_for(launcher.launched)
-    children.end_all()
 
 
 def test_a_restart_ends_the_pause_of_a_process_that_cannot_be_started(
@@ -149,7 +150,6 @@ def test_a_restart_ends_the_pause_of_a_process_that_cannot_be_started(
         children.renew("/dyknow_nodelet_manager")
     eventually(lambda: len(renewed) == 2)
     assert renewed == [False, False]
-    children.end_all()
 
 
 def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monkeypatch):
@@ -166,20 +166,22 @@ def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monke
 
 
 def test_children_without_a_manager_are_cleaned_up_or_taken_over(children, launcher):
-    here = ProcessId.of(os.getpid())
-    assert here is not None
-    gone = ProcessId(here.pid, here.started + 1)
-    records = [
-        ChildRecord("/dead", NodeletKind.CPP, "", gone),
-        ChildRecord("/lives", NodeletKind.PYTHON, "", here),
-        ChildRecord("/node", NodeletKind.SCRIPT, "/node", gone),
-        ChildRecord("/was_to_be_started", NodeletKind.PYTHON, "/n"),
-    ]
-    write(launcher.store, records)
-    launcher.found = [replace(records[1], name="/without_record")]
-    assert children.adopt() == ["/lives", "/without_record"]
-    assert launcher.cleaned == ["/dead", "/node", "/was_to_be_started"]
-    assert read(launcher.store) == [records[1], *launcher.found]
+    with subprocess.Popen(["sleep", "1000"], start_new_session=True) as process:
+        living = ProcessId.of(process.pid)
+        assert living is not None
+        gone = ProcessId(living.pid, living.started + 1)
+        records = [
+            ChildRecord("/dead", NodeletKind.CPP, "", gone),
+            ChildRecord("/lives", NodeletKind.PYTHON, "", living),
+            ChildRecord("/node", NodeletKind.SCRIPT, "/node", gone),
+            ChildRecord("/was_to_be_started", NodeletKind.PYTHON, "/n"),
+        ]
+        write(launcher.store, records)
+        launcher.found = [replace(records[1], name="/without_record")]
+        assert children.adopt() == ["/lives", "/without_record"]
+        assert launcher.cleaned == ["/dead", "/node", "/was_to_be_started"]
+        assert read(launcher.store) == [records[1], *launcher.found]
+        children.end_all()
 
 
 def test_records_name_processes_of_this_boot(monkeypatch):

@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Dict, List, Tuple
-from urllib.parse import urlsplit
 from xmlrpc.client import Binary, dumps
 
 import pytest
@@ -486,19 +485,17 @@ def _slowly(frame, event, arg):
 
 def test_many_questions_at_a_time_leave_two_connections(uri, monkeypatch):
     """Each would keep a descriptor here, and a thread of the master, for good."""
-    count, port = 8, urlsplit(uri).port
+    count = 8
     together = threading.Barrier(count)
     made: List[socket.socket] = []
-    connect = module._Connection.connect
 
-    def connect_together(self):
-        if self.port == port:  # not of a thread that an earlier test has left
+    class Together(module._Connection):
+        def connect(self):
             together.wait(PATIENCE)
-        connect(self)
-        if self.port == port:
+            super().connect()
             made.append(self.sock)
 
-    monkeypatch.setattr(module._Connection, "connect", connect_together)
+    monkeypatch.setattr(module, "_Connection", Together)
     node = Master("/node", uri, timeout=PATIENCE)
     with ThreadPoolExecutor(count, initializer=sys.settrace, initargs=(_slowly,)) as pool:
         assert [*pool.map(node.node, ["/none"] * count)] == [""] * count
