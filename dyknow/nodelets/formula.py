@@ -15,7 +15,7 @@ import dyknow
 from dyknow.formulas import Verdict, parse
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals, take_waiting
-from dyknow.ros.formulas.message_types import check
+from dyknow.ros.formulas.message_types import check, usual_delay
 from dyknow.ros.parameters import get_datatype
 
 
@@ -47,14 +47,15 @@ class FormulaNodelet(dyknow.Nodelet):
             port: get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")
             for port in formula.ports
         }
+        datatypes = {port: kind._type for port, kind in types.items()}
         self.monitor = formula.monitor(
             self.nh.get_param("~period", 0.1),
             self.nh.get_param("~hold", 0.0) or None,
-            self.nh.get_param("~delay", 0.5 if VerdictMessage in types.values() else 0.1),
+            self.nh.get_param("~delay", usual_delay(datatypes.values())),
             self.nh.get_param("~exact", False),
             self.nh.get_param("~max_nodes", 1000),
         )
-        check(formula, {port: kind._type for port, kind in types.items()})
+        check(formula, datatypes)
         tags = tags_of_individuals(formula, self.nh.get_param("~individuals", {}))
         self.pub = self.nh.Publisher(
             self.nh.get_param("~out", "holds"), VerdictMessage, latch=True, queue_size=100

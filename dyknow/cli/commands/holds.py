@@ -9,7 +9,7 @@ import argparse
 import contextlib
 import sys
 import time
-from typing import TYPE_CHECKING, Callable, Generator, Iterable, Mapping
+from typing import TYPE_CHECKING, Callable, Collection, Generator, Iterable, Mapping
 
 from dyknow.cli.arguments import SEVERAL, argument, flag, seconds_or_none
 from dyknow.cli.shell import FAILED, Shell, command
@@ -19,6 +19,8 @@ from dyknow.formulas import Formula, Truth, Verdict, parse
 if TYPE_CHECKING:
     from dyknow.formulas import Monitor
     from dyknow.ros.acquiring import AcquiredStream
+
+    MonitorOf = Callable[[Collection[str]], Monitor]
 
 _POLL = 0.5  # seconds between two looks for a topic that is not there yet
 
@@ -54,9 +56,8 @@ _POLL = 0.5  # seconds between two looks for a topic that is not there yet
     argument(
         "--delay",
         "SECONDS",
-        "how long a state waits for messages that come late (default: 0.1)",
+        "how long a state waits for messages that come late (default: 0.1; of verdicts 0.5)",
         type=seconds_or_none,
-        default=0.1,
     ),
     flag("--exact", "reason with all that unknown values could be"),
     argument("--for", "SECONDS", "end after so long", dest="seconds"),
@@ -69,7 +70,16 @@ def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.bag and arguments.seconds:
         arguments.refuse("--bag ends by itself: --for is for live streams")
     formula = parse(arguments.formula)
-    monitor = formula.monitor(arguments.period, arguments.hold, arguments.delay, arguments.exact)
+    monitors: list[Monitor] = []
+
+    def monitor(datatypes: Collection[str]) -> Monitor:
+        from dyknow.ros.formulas.message_types import usual_delay
+
+        delay = usual_delay(datatypes) if arguments.delay is None else arguments.delay
+        made = formula.monitor(arguments.period, arguments.hold, delay, arguments.exact)
+        monitors.append(made)
+        return made
+
     topics, tags = (_named(formula, each) for each in (arguments.topic, arguments.port))
     counts = dict.fromkeys(Truth, 0)
     if arguments.bag:
@@ -84,8 +94,9 @@ def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if not shell.as_json:
         false, unknown = counts[Truth.FALSE], counts[Truth.UNKNOWN]
         shell.error(f"FALSE in {false}, UNKNOWN in {unknown} of {sum(counts.values())} states")
-        if monitor.late:
-            shell.error(f"{monitor.late} messages came too late for their states (--delay)")
+    late = sum(each.late for each in monitors)
+    if late:
+        shell.error(f"{late} messages came too late for their states (--delay)")
     return FAILED if counts[Truth.FALSE] else None
 
 
@@ -116,7 +127,7 @@ def _print(shell: Shell, verdict: Verdict, with_why: bool) -> None:
 
 
 def _of_bag(
-    path: str, formula: Formula, monitor: Monitor, given: Mapping[str, str]
+    path: str, formula: Formula, monitor: MonitorOf, given: Mapping[str, str]
 ) -> Generator[Verdict, None, None]:
     from dyknow.ros.formulas.bags import Bag  # rosbag takes its time to import
     from dyknow.ros.formulas.message_types import check
@@ -128,7 +139,8 @@ def _of_bag(
         )
     bag = Bag(path)
     topics = {port: bag.topic(port, given) for port in formula.ports}
-    check(formula, {port: bag.datatypes[topic] for port, topic in topics.items()})
+    datatypes = {port: bag.datatypes[topic] for port, topic in topics.items()}
+    check(formula, datatypes)
     shown = -1
 
     def show(seconds: float) -> None:
@@ -138,13 +150,13 @@ def _of_bag(
             sys.stderr.write(f"\r{percent:3d} % of {path} \r")
             shown = percent
 
-    yield from bag.verdicts(monitor, topics, show)
+    yield from bag.verdicts(monitor(datatypes.values()), topics, show)
 
 
 def _live(
     shell: Shell,
     formula: Formula,
-    monitor: Monitor,
+    monitor: MonitorOf,
     topics: Mapping[str, str],
     tags: Mapping[str, str],
     duration: float | None,
@@ -197,7 +209,7 @@ def _live(
             individuals = IndividualStreams(client, individual, {}, live.subscribe)
             stack.callback(individuals.close)
             present = individuals.present
-        yield from live.verdicts(monitor, present, is_over)
+        yield from live.verdicts(monitor(datatypes.values()), present, is_over)
 
 
 def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:

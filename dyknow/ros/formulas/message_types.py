@@ -5,12 +5,22 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Any, Collection, Mapping
+
+from dyknow_msgs.msg import Verdict
 
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Formula, MessageType
 from dyknow.formulas.types import type_of
 from dyknow.ros.wire.message_classes import message_class
+
+
+def usual_delay(datatypes: Collection[str]) -> float:
+    """Return the seconds for which states stay open by default.
+
+    A verdict comes after its state by the delay of the formula that it is of.
+    """
+    return 0.5 if Verdict._type in datatypes else 0.1
 
 
 def message_type(datatype: str) -> MessageType | None:

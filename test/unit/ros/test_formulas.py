@@ -235,7 +235,8 @@ def test_what_is_acquired_after_the_end_is_released_at_once(around):
 def test_holds_hears_topics_of_the_namespace_of_the_manager(topics):
     client: Any = SimpleNamespace(namespace="/robot1/", datatypes=dict)
     formula = parse("f")
-    verdicts = holds._live(Shell(lambda: client), formula, formula.monitor(), topics, {}, 0.0)
+    shell = Shell(lambda: client)
+    verdicts = holds._live(shell, formula, lambda datatypes: formula.monitor(), topics, {}, 0.0)
     with pytest.raises(DyKnowError, match="the topic /robot1/f of the port 'f' is not published"):
         next(verdicts)
 
@@ -255,7 +256,8 @@ def test_holds_ends_with_a_stream_that_has_ended(around, monkeypatch):
     monkeypatch.setattr(sources, "LiveTopics", Topics)
     shell: Any = SimpleNamespace(client=around, resolve=str)
     formula = parse("f")
-    verdicts = holds._live(shell, formula, formula.monitor(), {}, {"f": "Flag(a)"}, None)
+    tags = {"f": "Flag(a)"}
+    verdicts = holds._live(shell, formula, lambda datatypes: formula.monitor(), {}, tags, None)
     with pytest.raises(DyKnowError, match=r"the stream Flag\(a\) has ended: no such stream"):
         next(verdicts)
     assert around.open == []
