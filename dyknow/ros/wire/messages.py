@@ -213,7 +213,14 @@ def host_from(message: msg.HostStatus) -> HostStatus:
 
 # Statistics: a rate or an age of NaN is unknown
 
-statistics_message = partial(_message, srv.GetStatisticsResponse)
+
+def statistics_message(statistics: NodeletStatistics) -> srv.GetStatisticsResponse:
+    ports = sorted(statistics.ports, key=attrgetter("port"))
+    return _message(
+        srv.GetStatisticsResponse,
+        statistics,
+        ports=[_message(msg.PortStatistics, each) for each in ports],
+    )
 
 
 def statistics_from(answer: srv.GetStatisticsResponse) -> NodeletStatistics:

@@ -145,6 +145,11 @@ def test_a_request_to_spawn():
     assert messages.parameters_from(arrived.parameters) == PARAMETERS
 
 
+def test_statistics_are_sorted_by_port():
+    arrived = sent(messages.statistics_message(NodeletStatistics(1.5, 2, 3, (COUNTED, UNKNOWN))))
+    assert [each.port for each in arrived.ports] == ["in", "out"]
+
+
 def test_the_counts_of_a_nodelet():
     latched = replace(COUNTED, latched=True, age=0.25, size=100)
     statistics = NodeletStatistics(1.5, 2, 3, (latched, UNKNOWN), "late")
