@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""The harnesses as fixtures of pytest; a conftest.py has them by its ``pytest_plugins``."""
+"""The harnesses as fixtures of pytest; a conftest.py imports them."""
 
 from __future__ import annotations
 
