@@ -20,7 +20,7 @@ from dyknow_rqt.canvas.view import GraphView, Target
 from dyknow_rqt.graph import changes, wiring
 from dyknow_rqt.graph.figure import Edge, VertexKind, edge_refs, key_of
 from dyknow_rqt.graph.geometry import Places, Point
-from dyknow_rqt.graph.snapshot import not_destroyed
+from dyknow_rqt.graph.snapshot import Snapshot, not_destroyed
 from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.create import ParametersDialog
 from dyknow_rqt.selection import Selection
@@ -77,7 +77,7 @@ class GraphEdits(QObject):
         lines = [datatype or "type not known yet"]
         if target is not None:
             try:
-                change = self._connection(start, target)
+                change = _connection(self._monitor.snapshot, start, target)
             except (CannotConnect, InvalidName) as error:
                 lines = [str(error)]
             else:
@@ -91,21 +91,13 @@ class GraphEdits(QObject):
 
     def _dropped(self, start: PortRef, target: Target, place: QPointF) -> None:
         if target is not None:
-            self._monitor.do(self._connection(start, target))
+            self._monitor.do(lambda snapshot: _connection(snapshot, start, target))
             return
         refs = [str(ref) for ref in wiring.partners(self._monitor.snapshot, start)]
         more = f" and {len(refs) - _NAMED} more" if len(refs) > _NAMED else ""
         fitting = f"a port that fits ({', '.join(refs[:_NAMED])}{more}), or at " if refs else ""
         self._line.note(f"{start} is not connected: end the arrow at {fitting}a topic")
         self._offer(start, place)
-
-    def _connection(self, start: PortRef, target: Target) -> wiring.Rewire:
-        snapshot = self._monitor.snapshot
-        if isinstance(target, PortRef):
-            return wiring.connect(snapshot, start, target)
-        if isinstance(target, Edge):
-            return wiring.splice(snapshot, start, target)
-        return wiring.connect_topic(snapshot, start, target or "")
 
     def _offer(self, start: PortRef, place: QPointF) -> None:
         """Offer the transformations that could be made at a place, connected with a port."""
@@ -127,11 +119,13 @@ class GraphEdits(QObject):
         menu.popup(view.viewport().mapToGlobal(view.mapFromScene(place)))
 
     def _create(self, start: PortRef, label: str, port: Port, place: QPointF) -> None:
-        snapshot = self._monitor.snapshot
-        name = wiring.free_name(snapshot, label, names.parent(start.nodelet))
-        change = wiring.spawn_at(snapshot, start, label, port, name)
-        self.places.put({key_of(VertexKind.NODELET, name): Point(place.x(), place.y())})
-        self._monitor.do(change)
+        def plan(snapshot: Snapshot) -> changes.Change:
+            name = wiring.free_name(snapshot, label, names.parent(start.nodelet))
+            change = wiring.spawn_at(snapshot, start, label, port, name)
+            self.places.put({key_of(VertexKind.NODELET, name): Point(place.x(), place.y())})
+            return change
+
+        self._monitor.do(plan)
 
     # Places
 
@@ -151,7 +145,7 @@ class GraphEdits(QObject):
             self.ask_to_destroy(self._selection.nodelets)
 
     def disconnect_ports(self, refs: tuple[PortRef, ...]) -> None:
-        self._monitor.do(wiring.disconnect(self._monitor.snapshot, refs))
+        self._monitor.do(lambda snapshot: wiring.disconnect(snapshot, refs))
 
     def ask_to_destroy(self, nodelets: Sequence[str]) -> None:
         why_not = not_destroyed(nodelets, self._monitor.snapshot)
@@ -168,3 +162,11 @@ class GraphEdits(QObject):
         nodelet = self._monitor.snapshot.nodelet(name)
         if nodelet is not None:
             ParametersDialog(self._monitor, nodelet, self._window).open()
+
+
+def _connection(snapshot: Snapshot, start: PortRef, target: Target) -> wiring.Rewire:
+    if isinstance(target, PortRef):
+        return wiring.connect(snapshot, start, target)
+    if isinstance(target, Edge):
+        return wiring.splice(snapshot, start, target)
+    return wiring.connect_topic(snapshot, start, target or "")

@@ -174,11 +174,18 @@ class GraphMonitor(QObject):
         else:
             say(self.heart.status.text)  # the threads are not to wait for it
 
-    def do(self, change: Change, then: Callable[[], None] = lambda: None) -> None:
+    def do(
+        self,
+        change: Change | Callable[[Snapshot], Change],
+        then: Callable[[], None] = lambda: None,
+    ) -> None:
         """Make a change after those before it; it can be undone if there is a way back.
 
-        ``then`` is called in the thread of the window when it has been done.
+        One that depends on the graph is a function of it: it is called now, to refuse at once,
+        and again when the change begins. ``then`` is called in the thread of the window when the
+        change has been done.
         """
+        plan = change if callable(change) else lambda snapshot: change
 
         def note(done: DoneChange) -> None:
             self.history.note(done)
@@ -186,9 +193,10 @@ class GraphMonitor(QObject):
 
         def begin() -> None:
             present = self._present()
-            self._apply(change.text, lambda: change.apply(present), note)
+            planned = plan(present.snapshot)
+            self._apply(planned.text, lambda: planned.apply(present), note)
 
-        self._in_turn(change.text, begin)
+        self._in_turn(plan(self.snapshot).text, begin)
 
     def do_in_turn(self, changes: Sequence[Change]) -> None:
         """Make changes one after the other, up to the first that is refused."""
@@ -245,7 +253,7 @@ class GraphMonitor(QObject):
         while self._waiting and not self._must_wait:
             try:
                 self._waiting.popleft()()
-            except CannotUndo as error:  # that holds up nothing
+            except DyKnowError as error:  # that holds up nothing
                 self.failed.emit(str(error))
 
     def _present(self) -> Present:

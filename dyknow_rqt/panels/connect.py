@@ -126,19 +126,17 @@ class ConnectPanel(Panel):
     def _connect(self) -> None:
         source, sink = self.source.ref, self.sink.ref
         if source is not None and sink is not None:
-            self._monitor.do(wiring.connect(self._monitor.snapshot, source, sink))
+            self._monitor.do(lambda snapshot: wiring.connect(snapshot, source, sink))
 
     def _connect_topic(self) -> None:
-        ref = self.single.ref
-        if ref is not None and self.topic.text().strip():
-            self._monitor.do(
-                wiring.connect_topic(self._monitor.snapshot, ref, self.topic.text().strip())
-            )
+        ref, topic = self.single.ref, self.topic.text().strip()
+        if ref is not None and topic:
+            self._monitor.do(lambda snapshot: wiring.connect_topic(snapshot, ref, topic))
 
     def _disconnect(self) -> None:
         ref = self.single.ref
         if ref is not None:
-            self._monitor.do(wiring.disconnect(self._monitor.snapshot, (ref,)))
+            self._monitor.do(lambda snapshot: wiring.disconnect(snapshot, (ref,)))
 
     def _follow(self) -> None:
         """Offer the fitting topics; choices that still fit are kept. Only where it is seen."""

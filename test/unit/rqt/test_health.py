@@ -10,10 +10,10 @@ import time
 
 import pytest
 from clocks import HandClock, eventually, wait_for
-from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtCore import QPointF, Qt
 from python_qt_binding.QtGui import QPalette
 from unit.cli.fake_client import cases
-from unit.rqt.hands import create, is_ready, until, vertex_keys
+from unit.rqt.hands import CEILING, create, is_ready, show, topic, undo, until, vertex_keys
 from unit.rqt.test_colours import contrast
 
 from dyknow.errors import StreamRefused
@@ -302,6 +302,34 @@ def test_changes_wait_for_the_one_before_them(qtbot, window, remote):
         "protect /second",
         "create /third",
     ]
+
+
+def _drop(window, sink):
+    window.graph.view.dropped.emit(CEILING, sink, QPointF())
+
+
+def _click_connect(window, sink):
+    panel = show(window, window.connect_)
+    panel.source.choose(CEILING)
+    panel.sink.choose(sink)
+    panel.connect.click()
+
+
+@pytest.mark.parametrize("connect", [_drop, _click_connect])
+def test_a_connection_that_waits_adds_to_the_one_before_it(qtbot, window, remote, connect):
+    first, second = (PortRef(f"/field/{name}", "position") for name in ("first", "second"))
+    for ref in (first, second):
+        create(qtbot, window, ref.nodelet)
+    monitor, (slow, may) = window.monitor, slow_change()
+    monitor.do(slow)
+    connect(window, first)
+    connect(window, second)
+    may.set()
+    until(qtbot, lambda: not monitor.is_changing)
+    (shared,) = {topic(remote, ref) for ref in (CEILING, first, second)}
+    undo(qtbot, window)
+    until(qtbot, lambda: not topic(remote, second))
+    assert topic(remote, first) == topic(remote, CEILING) == shared
 
 
 def test_changes_that_wait_for_a_manager_that_falls_silent_are_refused(qtbot, window, remote):
