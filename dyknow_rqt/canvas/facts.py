@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Mapping
 
-from dyknow.model.graph import NodeletStatus, PortRef, State
+from dyknow.model.graph import NodeletKind, NodeletStatus, PortRef, State
 from dyknow.model.transformation import IN
 from dyknow_rqt.canvas.arrows import EdgeItem
 from dyknow_rqt.canvas.items import PortItem
@@ -44,7 +44,7 @@ class Facts:
         if item.shown is nodelet:
             return
         item.shown = nodelet
-        is_cpp = not nodelet.kind.is_written_for_dyknow
+        is_cpp = nodelet.kind in (NodeletKind.CPP, NodeletKind.CPP_NODE)
         item.set_state(nodelet.state, nodelet.is_protected, is_cpp)
         connected = {port.name for port in nodelet.ports if port.topic}
         for port in item.ports.values():

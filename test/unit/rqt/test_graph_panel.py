@@ -14,7 +14,7 @@ from python_qt_binding.QtGui import QImage
 from python_qt_binding.QtWidgets import QFileDialog, QLineEdit
 from unit.rqt.hands import centre_of, drag, turn_wheel, until, vertex_keys
 
-from dyknow.model.graph import PortRef
+from dyknow.model.graph import NodeletKind, PortRef
 from dyknow_rqt.graph.snapshot import Snapshot
 from dyknow_rqt.graph_panel.files import save_drawing
 
@@ -148,6 +148,15 @@ def test_a_tool_tip_names_the_transports_of_what_is_under_the_pointer(
     assert "HSV(?robot, ?camera)" in scene.facts.tip_of(item)
     assert asked == [{node}] * 3  # and no other node is queried, ever
     assert "connections" not in scene.facts.tip_of(scene.vertices["n_/nao1/subsampler"])
+
+
+@pytest.mark.parametrize("kind", NodeletKind)
+def test_the_badge_of_another_language_is_for_c_plus_plus(qtbot, window, remote, scene, kind):
+    remote.client.alter("/nao1/resize", kind=kind, detail="altered")
+    until(qtbot, lambda: window.monitor.snapshot.nodelet("/nao1/resize").detail)
+    item = scene.vertices["n_/nao1/resize"]
+    until(qtbot, lambda: item.shown is not None and item.shown.detail)
+    assert item._badge() == ("C++" if "C++" in kind.title else "")
 
 
 def test_states_are_told_apart(window, scene):
