@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import getpass
+import os
 import socket
 import time
 from dataclasses import replace
@@ -111,7 +111,7 @@ class StreamsPanel(Panel):
         return StreamRequest(
             tag=self.tag.text().strip(),
             datatype=self.datatype.text().strip(),
-            client_id=f"window of {getpass.getuser()} on {socket.gethostname()}",
+            client_id=f"window on {socket.gethostname()} ({os.getpid()})",
             max_silence=self.silence.value(),
             min_rate=self.rate.value(),
             max_age=self.age.value(),

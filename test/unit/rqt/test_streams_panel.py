@@ -60,6 +60,15 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     assert panel.events.toPlainText().endswith("Track(ball): released (forgotten)")
 
 
+def test_a_user_without_a_name_asks_for_streams(qtbot, window, monkeypatch):
+    """As in a container."""
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    assert panel.request().client_id.startswith("window on ")
+
+
 def test_what_matters_is_asked_for(qtbot, window, remote):
     panel = _ask_for(qtbot, window, "Track(ball)")
     assert (panel.request().min_rate, panel.request().max_age, panel.request().avoid) == (0, 0, ())
