@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: Pixels: the length of a head, and the width of a line.
 _ARROW, _THIN = 8.0, 1.1
 _DASHES = {Truth.TRUE: Qt.SolidLine, Truth.FALSE: Qt.DashLine, Truth.UNKNOWN: Qt.DotLine}
-_TOPIC = key_of(VertexKind.TOPIC, "")
+_TOPIC, _GHOST = key_of(VertexKind.TOPIC, ""), key_of(VertexKind.GHOST, "")
 _NUMBER = re.compile(r"[\d.]+")
 #: A size of letters between the largest and the plain one; and by how much 0.25 is wider at most
 #: than a usual number.
@@ -56,8 +56,12 @@ class EdgeItem(Item):
         self.traffic: PortRate | None = None
         self.verdict: PortVerdict | None = None
         self.is_dead = False
+        ends = (edge.tail, edge.head)
+        #: Whether it is part of a plan; then it has a port in place of a topic, and is only seen.
+        self.is_planned = any(key.startswith(_GHOST) for key in ends)
+        self.setEnabled(not self.is_planned)
         #: Whether its label has the topic: it leads past the rectangle of that.
-        self.shows_name = not any(key.startswith(_TOPIC) for key in (edge.tail, edge.head))
+        self.shows_name = not any(key.startswith(_TOPIC) for key in ends)
         self._font, self._height = font, height_of(font)
         self._metrics = QFontMetricsF(font)
         self.path = QPainterPath()

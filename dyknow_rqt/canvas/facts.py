@@ -59,8 +59,7 @@ class Facts:
         found = [self.traffic[ref] for ref in item.refs if ref in self.traffic]
         traffic = found[0 if found[0].drop_rate > 0 else -1] if found else None
         verdict = next((self.verdicts[ref] for ref in item.refs if ref in self.verdicts), None)
-        planned, ends = key_of(VertexKind.GHOST, ""), (item.edge.tail, item.edge.head)
-        is_dead = any(key in self._dead or key.startswith(planned) for key in ends)
+        is_dead = item.is_planned or not self._dead.isdisjoint((item.edge.tail, item.edge.head))
         return item.show(traffic, verdict, is_dead)
 
     def nodes_of(self, item: object) -> frozenset[str]:

@@ -29,8 +29,6 @@ _BESIDE, _BETWEEN = 44.0, 24.0
 _AROUND = 1.06
 #: Size of a badge, in that of the name; a name that is larger by the factor leaves no room for it.
 _BADGE, _MOST = 0.8, 1.1
-#: Kinds of vertices that do not exist yet.
-_DASHED = (VertexKind.CLAIM, VertexKind.GHOST)
 #: Pixels: the width of a ring, and its distance from the line.
 _RING = 3.0
 #: Units of an angle.
@@ -242,8 +240,10 @@ class VertexItem(Item):
             colour = self.colours.box_line
         if self.state is State.FAILED:
             colour, width = self.colours.alarm, 2.2
-        elif self.state is State.LOST or self.vertex.kind in _DASHED:
+        elif self.state is State.LOST or self.vertex.kind is VertexKind.CLAIM:
             colour, style = self.colours.muted, Qt.DashLine
+        elif self.vertex.kind is VertexKind.GHOST:
+            colour, style = self.colours.text, Qt.DashLine
         elif self.state is State.STARTING:
             style = Qt.DotLine
         return QPen(colour, width, style)

@@ -10,7 +10,17 @@ from types import SimpleNamespace
 import pytest
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtGui import QGuiApplication
-from unit.rqt.hands import FORMULAS, cells_of, click, no_boxes, show, undo, until, vertex_keys
+from unit.rqt.hands import (
+    FORMULAS,
+    cells_of,
+    click,
+    is_settled,
+    no_boxes,
+    show,
+    undo,
+    until,
+    vertex_keys,
+)
 
 from dyknow.model.graph import State
 from dyknow.model.streams import Replanned, StreamEvent, StreamRequest
@@ -212,12 +222,17 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     panel.exclude.setText("ceiling_camera")
     click(qtbot, panel.preview)
     until(qtbot, lambda: ghost in vertex_keys(window))
-    assert scene.vertices[ghost].stroke().style() == Qt.DashLine
+    stroke = scene.vertices[ghost].stroke()
+    assert (stroke.style(), stroke.color()) == (Qt.DashLine, scene.colours.text)
     assert scene.vertices[ghost].vertex.label == "tracker\ncost 1"
     source = scene.vertices["n_/nao1/localization"]
     assert source.tone is Tone.KEPT and source.fill() == source.colours.kept
     (arrow,) = (edge for edge in scene.edges if edge.head == ghost)
     assert arrow.tail == "t_/field/ball" and scene.edges[arrow].is_dead
+    until(qtbot, lambda: is_settled(window))
+    view, planned = window.graph.view, scene.edges[arrow]
+    middle = view.mapFromScene(planned.path.pointAtPercent(0.5))
+    assert planned in view.items(middle) and view._target_at(middle) is None
     scene.highlight("n_/nao1/resize")
     scene.highlight(None)
     assert source.tone is Tone.KEPT
