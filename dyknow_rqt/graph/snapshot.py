@@ -194,7 +194,8 @@ class Moments:
         moment = replace(moment, snapshot=replace(moment.snapshot))  # without its cached values
         if self.all and moment.essence == self.all[-1].essence:
             return False
-        if len(self.all) > 1 and moment.time - self.all[-1].time < _TOGETHER:
+        since = moment.time - self.all[-1].time if len(self.all) > 1 else _TOGETHER
+        if 0 <= since < _TOGETHER:  # less than none: the clock was set back
             self.all[-1] = replace(moment, time=self.all[-1].time)
         else:
             self.all.append(moment)

@@ -19,7 +19,7 @@ from dyknow_rqt.canvas.view import GraphView
 from dyknow_rqt.graph.figure import Figure, figure_of
 from dyknow_rqt.graph.geometry import Drawing
 from dyknow_rqt.graph.layout import DrawingOrder
-from dyknow_rqt.graph.measurements import PortRate
+from dyknow_rqt.graph.measurements import PortRate, PortVerdict
 from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Snapshot
 from dyknow_rqt.graph.ways import WayPart, fates_of, with_ghosts
 from dyknow_rqt.graph_panel.bar import GraphBar
@@ -127,18 +127,22 @@ class GraphPanel(QWidget):
         self.tidy()
 
     def _show_moment(self, moment: GraphMoment | None, found: Difference) -> None:
-        """Show the graph as it was, without rates, or as it is."""
+        """Show the graph as it was, without rates and verdicts, or as it is."""
         scene, is_past = self.view.scene(), moment is not None
         scene.show_past(is_past)
         self.view.is_editable = not is_past
         scene.marks.clear()
         scene.marks.show(found, is_lasting=is_past)
         self._show_traffic(self._monitor.traffic)
+        self._show_verdicts(self._monitor.verdicts)
         self.redraw()
 
     def _show_traffic(self, traffic: Mapping[PortRef, PortRate]) -> None:
         seen = (traffic, self._monitor.strains) if self.timeline.moment is None else ({}, {})
         self.view.scene().set_traffic(*seen)
+
+    def _show_verdicts(self, verdicts: Mapping[PortRef, PortVerdict]) -> None:
+        self.view.scene().set_verdicts(verdicts if self.timeline.moment is None else {})
 
     def _mark(self, found: Difference) -> None:
         """Mark a change, unless it is that of everything."""
@@ -288,7 +292,7 @@ class GraphPanel(QWidget):
         monitor.measured.connect(self._show_traffic)
         self.timeline.changed.connect(self._mark)
         self.timeline.wanted.connect(self._show_moment)
-        monitor.decided.connect(view.scene().set_verdicts)
+        monitor.decided.connect(self._show_verdicts)
         view.scene().transports_wanted.connect(self._ask_transports)
         monitor.heart.told.connect(self._show_sign)
         monitor.heart.linked.connect(self._grey)

@@ -180,8 +180,9 @@ class TimelinePanel(QWidget):
             return Difference()
         if self.moment is None:
             return difference(every[-2], every[-1])
-        ends = sorted((self.moment, self.track.anchor or every[-1]), key=lambda each: each.time)
-        return difference(*ends)
+        order = {id(each): number for number, each in enumerate(every)}
+        ends = (self.moment, self.track.anchor or every[-1])
+        return difference(*sorted(ends, key=lambda each: order.get(id(each), -1)))
 
     def _say(self) -> None:
         every = self.moments.all

@@ -26,7 +26,14 @@ from dyknow.model.streams import ClaimState, StreamStatus
 from dyknow.model.transformation import Transformation
 from dyknow_rqt.background_calls import BackgroundCalls
 from dyknow_rqt.graph.changes import Change, DoneChange, Present, UndoHistory
-from dyknow_rqt.graph.measurements import Meter, PortRate, Strain, port_verdicts, verdict_sources
+from dyknow_rqt.graph.measurements import (
+    Meter,
+    PortRate,
+    PortVerdict,
+    Strain,
+    port_verdicts,
+    verdict_sources,
+)
 from dyknow_rqt.graph.snapshot import PlainNode, Side, Snapshot, plain_nodes, taken_topics
 from dyknow_rqt.monitoring.heartbeat import Heartbeat
 from dyknow_rqt.monitoring.remote import Remote
@@ -139,6 +146,11 @@ class GraphMonitor(QObject):
     def strains(self) -> dict[str, Strain]:
         """The loads that make nodelets stand out, by name."""
         return dict(self._meter.strains)
+
+    @property
+    def verdicts(self) -> dict[PortRef, PortVerdict]:
+        """The last verdicts, by the out-ports that they came from."""
+        return port_verdicts(self.snapshot.nodelets, self._verdicts, self.streams)
 
     @property
     def is_changing(self) -> bool:
@@ -454,8 +466,7 @@ class GraphMonitor(QObject):
         self.streams_changed.emit()
 
     def _tell_verdicts(self) -> None:
-        nodelets = self.snapshot.nodelets
-        self.decided.emit(port_verdicts(nodelets, self._verdicts, self.streams))
+        self.decided.emit(self.verdicts)
 
     def _follow_link(self, is_linked: bool) -> None:
         """Read everything of a manager that answers again: it may be another one."""

@@ -23,8 +23,10 @@ from unit.rqt.hands import (
 )
 from unit.rqt.test_graph import nodelet
 
+from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
+from dyknow.model.transformation import OUT, VERDICT, Port, Transformation, as_specification
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, Snapshot, difference
 from dyknow_rqt.screenshots import dark_palette
@@ -221,6 +223,45 @@ def test_the_graph_is_seen_as_it_was_and_as_it_is_again(qtbot, window, remote, t
     assert timeline.words.text().partition("to ")[2].partition(": ")[2] == "+ /field/another"
     qtbot.keyClick(track, Qt.Key_End, Qt.ShiftModifier)
     assert "to now: + /field/another" in timeline.words.text()
+
+
+_CLOCK = "dyknow_rqt.graph_panel.timeline.time.time"
+
+
+def test_a_clock_that_is_set_back_leaves_the_order_of_moments(
+    qtbot, window, remote, track, monkeypatch
+):
+    monkeypatch.setattr(_CLOCK, lambda: 0.0)
+    remote.client.spawn("tracker", "/field/later", {"position": BALL})
+    until(qtbot, lambda: len(window.graph.timeline.moments.all) == 5)
+    qtbot.keyClick(track, Qt.Key_Left)
+    assert "to now: + /field/later" in window.graph.timeline.words.text()
+
+
+def test_the_past_has_no_verdicts(qtbot, window, remote, track, monkeypatch):
+    scene, port = window.graph.view.scene(), PortRef("/judge", "holds")
+    judge = Transformation("judge", "a/Judge", ports=(Port("holds", OUT, VERDICT),))
+    remote.client.add_transformation(as_specification([judge]))
+    remote.client.spawn("judge", "/judge", {"holds": "/judge/holds"})
+    until(qtbot, lambda: "n_/judge" in vertex_keys(window))
+    later = time.time() + 60
+    monkeypatch.setattr(_CLOCK, lambda: later)
+    remote.client.destroy("/field/another")
+    until(qtbot, lambda: "n_/field/another" not in vertex_keys(window))
+
+    def shown():
+        items = [item for edge, item in scene.edges.items() if edge.tail == "n_/judge"]
+        return {item.verdict and item.verdict.truth for item in items}
+
+    remote.decide("/judge/holds", Truth.TRUE)
+    until(qtbot, lambda: shown() == {Truth.TRUE})
+    qtbot.keyClick(track, Qt.Key_Left)
+    until(qtbot, lambda: shown() == {None})
+    remote.decide("/judge/holds", Truth.FALSE)
+    until(qtbot, lambda: window.monitor.verdicts[port].truth is Truth.FALSE)
+    assert not scene.facts.verdicts
+    qtbot.keyClick(track, Qt.Key_End)
+    until(qtbot, lambda: shown() == {Truth.FALSE})
 
 
 def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track, view):
