@@ -445,15 +445,14 @@ class GraphMonitor(QObject):
         self._tell_verdicts()
 
     def _hear_verdict(self, topic: str, verdict: Verdict) -> None:
-        """Take one that differs from the last; in any thread, several times a second."""
-        if verdict != self._verdicts.get(topic, verdict):
-            self._calls.deliver(lambda: self._take_verdict(topic, verdict))
+        """Take a verdict; in any thread, several times a second."""
+        self._calls.deliver(lambda: self._take_verdict(topic, verdict))
 
     def _take_verdict(self, topic: str, verdict: Verdict) -> None:
-        if topic in self._verdicts:
+        if verdict != self._verdicts.get(topic, verdict):
             self._verdicts[topic] = verdict
-        if not self._gathering.isActive():
-            self._gathering.start()
+            if not self._gathering.isActive():
+                self._gathering.start()
 
     def _take_streams(self, streams: Sequence[StreamStatus]) -> None:
         if tuple(streams) == self.streams:

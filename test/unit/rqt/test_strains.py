@@ -278,6 +278,17 @@ def test_the_arrow_of_a_formula_has_the_colour_of_its_verdict(qtbot, charged, re
     assert not remote.followed
 
 
+def test_of_verdicts_that_come_together_the_last_one_is_shown(qtbot, charged, remote):
+    monitor, told = charged.monitor, []
+    remote.decide("/charged_1/holds", Truth.TRUE)
+    until(qtbot, lambda: monitor.verdicts[HOLDS].truth is Truth.TRUE)
+    monitor.decided.connect(told.append)
+    for truth in (Truth.FALSE, Truth.TRUE):
+        remote.decide("/charged_1/holds", truth)
+    until(qtbot, lambda: told)
+    assert told[0][HOLDS].truth is Truth.TRUE
+
+
 def test_the_port_shows_the_verdict_where_nothing_listens(qtbot, charged, remote):
     charged.graph.bar.choose("mode", 1)
     until(qtbot, lambda: _arrow(charged) is None)
