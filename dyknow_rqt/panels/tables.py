@@ -241,7 +241,7 @@ class KeyedTable(QTableView):
 
     def follow(self, names: Iterable[str]) -> None:
         """Select the rows of these keys only, as the user has done elsewhere."""
-        if set(names) != set(self.chosen()):
+        if self._rows.places.keys() & names != set(self.chosen()):
             with QSignalBlocker(self):
                 self.choose(names)
             if self.chosen():
@@ -289,7 +289,8 @@ class WayTree(QTreeWidget):
         if ways == self.ways:
             return
         self.ways = ways
-        self.clear()
+        with QSignalBlocker(self):  # the user has not selected anything else
+            self.clear()
         for way in filter(None, ways):
             path: list[Any] = [self]
             for part in way:

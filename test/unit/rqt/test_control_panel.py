@@ -22,7 +22,8 @@ from unit.rqt.hands import (
 )
 
 from dyknow.model.graph import OUTDATED, PortRef
-from dyknow_rqt.panels.tables import KeyedTable
+from dyknow_rqt.graph.ways import read_way
+from dyknow_rqt.panels.tables import KeyedTable, WayTree
 
 
 def test_active_lists_and_destroys(qtbot, window, remote):
@@ -53,6 +54,31 @@ def test_a_table_tells_of_picks_after_rows_that_it_could_not_show(qtbot, monkeyp
         table.show_rows([])
     table.choose(["10"])
     assert picked == [["10"]]
+
+
+def test_a_table_with_a_selected_row_that_is_filtered_out_stays_where_it_is(qtbot):
+    table = KeyedTable(("Name",), "Things")
+    qtbot.addWidget(table)
+    table.resize(200, 100)
+    table.show()
+    table.show_rows([((f"row {number:03}",), "") for number in range(100)] + [(("last",), "")])
+    table.filter.setText("row")
+    table.follow(["row 000", "last"])
+    table.scrollToBottom()
+    place = table.verticalScrollBar().value()
+    table.follow(["row 000", "last"])
+    assert table.chosen() == ["row 000"] and table.verticalScrollBar().value() == place > 0
+
+
+def test_a_tree_of_other_ways_picks_nothing(qtbot):
+    tree, picked = WayTree("Plan"), []
+    qtbot.addWidget(tree)
+    tree.picked.connect(picked.append)
+    tree.show_ways(read_way("Track(ball)\none"))
+    tree.topLevelItem(0).child(0).setSelected(True)
+    assert picked == [[]]
+    tree.show_ways(read_way("Track(ball)\nanother"))
+    assert picked == [[]] and not tree.selectedItems()
 
 
 def test_a_column_grows_with_its_names_unless_a_hand_has_set_its_width(qtbot):
