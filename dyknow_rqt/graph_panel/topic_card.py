@@ -84,8 +84,9 @@ class TopicCard(QWidget):
         self.topic = ""
         self._monitor, self._view = monitor, view
         self._calls = BackgroundCalls(1)
-        #: The publisher of the shown topic, and the function that stops listening.
-        self._node = self._datatype = ""
+        #: The publishers of the shown topic, its type, and the function that stops listening.
+        self._nodes: Sequence[str] = ()
+        self._datatype = ""
         self._end: Callable[[], None] = lambda: None
         self._number = 0
         self._again = QTimer(self, singleShot=True, interval=_PATIENCE, timeout=self._follow)
@@ -116,7 +117,7 @@ class TopicCard(QWidget):
         self.setVisible(bool(topic))
         self._title.setToolTip(topic)
         self.field.clear()
-        self._listen_to("")
+        self._listen_to(())
         if topic:
             self._ageing.start()
             self._show_parts()
@@ -152,7 +153,7 @@ class TopicCard(QWidget):
     # Listening
 
     def _follow(self) -> None:
-        """Listen to the node that publishes the topic now."""
+        """Listen to the nodes that publish the topic now."""
         if self.topic:
             snapshot = self._monitor.snapshot
             found = snapshot.topics().get(self.topic)
@@ -161,16 +162,16 @@ class TopicCard(QWidget):
             nodes = [each.node for each in nodelets if each and each.state is State.RUNNING]
             nodes += [node.name for node in snapshot.nodes if self.topic in node.publishes]
             self._datatype = found.datatype if found is not None else ""
-            self._listen_to(nodes[0] if nodes else "")
+            self._listen_to(tuple(dict.fromkeys(nodes)))
             self._tell()
 
-    def _listen_to(self, node: str) -> None:
-        if node == self._node and not self._has_failed:
+    def _listen_to(self, nodes: Sequence[str]) -> None:
+        if nodes == self._nodes and not self._has_failed:
             return
         self._end()
         if not self._has_failed:
             self._why = "no message yet"
-        self._node, self._end, self._has_failed = node, lambda: None, False
+        self._nodes, self._end, self._has_failed = nodes, lambda: None, False
         self._number += 1
         number, topic, datatype = self._number, self.topic, self._datatype
         is_over = threading.Event()
@@ -180,9 +181,11 @@ class TopicCard(QWidget):
             self._calls.deliver(lambda: self._take(number, sample))
 
         def begin() -> None:
-            ends.append(self._monitor.remote.follow(topic, datatype, node, hear))
+            follow = self._monitor.remote.follow
+            for node in nodes:
+                ends.append(follow(topic, datatype, node, hear))
             if is_over.is_set():  # before it had begun
-                ends[0]()
+                end()
 
         def end() -> None:
             is_over.set()
@@ -200,7 +203,7 @@ class TopicCard(QWidget):
                 self._again.start()
             tell(str(error))
 
-        if node:
+        if nodes:
             self._end = end
             self._calls.run(begin, lambda done: tell("no message yet"), fail)
 
@@ -255,7 +258,7 @@ class TopicCard(QWidget):
 
     def _tell(self) -> None:
         """Say how much comes, and how old the last message is."""
-        if not self._node:
+        if not self._nodes:
             self.facts.setText("nothing publishes it")
             return
         traffic = self._monitor.traffic
@@ -271,7 +274,7 @@ class TopicCard(QWidget):
                 facts.append(f"{_bytes(size * sum(rates))}/s")
             facts += [f"{_bytes(size)} each", f"{time.monotonic() - self._came:.1f} s ago"]
         self.facts.setText(" · ".join(facts))
-        self.facts.setToolTip(f"from {self._node}")
+        self.facts.setToolTip(f"from {', '.join(self._nodes)}")
 
     def _arrange(self) -> None:
         self.setAutoFillBackground(True)

@@ -210,6 +210,21 @@ def test_it_listens_only_while_it_is_shown(qtbot, window, remote):
         until(qtbot, lambda: not any(remote.listeners.values()))
 
 
+def test_it_listens_to_all_nodes_that_publish(qtbot, window, remote):
+    card, topic = window.graph.card, "/nao1/bottom_camera/yuv"
+    remote.client.alter("/nao1/top_camera", manager="/another")
+    remote.client.connect([("/nao1/top_camera", {"yuv": topic})])
+    until(qtbot, lambda: len(window.monitor.snapshot.topics()[topic].sources) == 2)
+    card.show_topic(topic)
+    until(qtbot, lambda: len(remote.listeners.get(topic, ())) == 2)
+    nodes = {
+        window.monitor.snapshot.nodelet(f"/nao1/{side}_camera").node for side in ("top", "bottom")
+    }
+    assert len(nodes) == 2 and all(node in card.facts.toolTip() for node in nodes)
+    card.show_topic("")
+    until(qtbot, lambda: not remote.listeners[topic])
+
+
 def test_it_tries_again_when_it_could_not_listen(qtbot, window, remote):
     card, begin, tried = window.graph.card, remote.follow, []
 
