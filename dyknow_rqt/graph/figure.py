@@ -9,7 +9,7 @@ import enum
 import os
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple, Tuple
+from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple
 
 from dyknow.model.graph import NodeletStatus, PortRef
 from dyknow.model.transformation import IN
@@ -65,7 +65,7 @@ class Vertex:
     """An oval or a rectangle in the innermost of a group of boxes, with a note below its name.
 
     The key is unique in the figure, and the same for the same thing in every figure. Ports are in
-    the order of declaration.
+    the order of declaration. Members are keys of the nodelets in a collapsed box.
     """
 
     key: str
@@ -75,6 +75,7 @@ class Vertex:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     note: str = ""
+    members: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -309,16 +310,13 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
     if not groups:
         return figure
     homes = {v.key: _outermost(v.group, groups) for v in figure.vertices}
-    counts: dict[Group, int] = {}
+    members: dict[Group, list[str]] = {}
     for vertex in figure.vertices:
         home = homes[vertex.key]
         if home is not None:
-            counts[home] = counts.get(home, 0) + (vertex.kind is VertexKind.NODELET)
-    notes = {group: f"{count} nodelet{'s' * (count != 1)}" for group, count in counts.items()}
-    boxes = [
-        Vertex(_key(group), VertexKind.BOX, group[-1], group[:-1], note=note)
-        for group, note in notes.items()
-    ]
+            nodelets = members.setdefault(home, [])
+            nodelets += [vertex.key] * (vertex.kind is VertexKind.NODELET)
+    boxes = [_box(group, keys) for group, keys in members.items()]
     others = [v for v in figure.vertices if homes[v.key] is None]
     edges: dict[object, Edge] = {}
     for edge in _led(figure.edges, homes):
@@ -329,6 +327,12 @@ def _collapsed(figure: Figure, groups: AbstractSet[Group]) -> Figure:
         vertices=tuple(sorted([*others, *boxes], key=lambda v: v.key)),
         edges=tuple(sorted(edges.values())),
     )
+
+
+def _box(group: Group, members: Sequence[str]) -> Vertex:
+    note = f"{len(members)} nodelet{'s' * (len(members) != 1)}"
+    key, kind = _key(group), VertexKind.BOX
+    return Vertex(key, kind, group[-1], group[:-1], note=note, members=tuple(members))
 
 
 def _led(edges: Iterable[Edge], homes: Mapping[str, Group | None]) -> Iterator[Edge]:

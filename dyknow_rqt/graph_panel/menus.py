@@ -116,7 +116,8 @@ def _count(things: Sized, what: str) -> str:
 def _add_copy(menu: QMenu, names: Collection[str]) -> None:
     menu.addSeparator()
     text = "Copy &name" if len(names) == 1 else "Copy &names"
-    _add(menu, text, lambda: QGuiApplication.clipboard().setText("\n".join(names)))
+    action = _add(menu, text, lambda: QGuiApplication.clipboard().setText("\n".join(names)))
+    action.setEnabled(bool(names))
 
 
 def _add(menu: QMenu, text: str, function: Callable[[], object], why_not: str = "") -> Any:

@@ -222,7 +222,7 @@ class GraphPanel(QWidget):
             outer = [group for group in self._order.figure.groups() if len(group) == 1]
             self._popup(menu_of_ground(edits, self.bar, box, outer), place)
         else:
-            if not item.isSelected():
+            if item.key not in self._selection.keys:
                 self.view.select(item)
             self.show_menu(place)
 
@@ -242,12 +242,17 @@ class GraphPanel(QWidget):
             self._selection.choose(chosen)
 
     def _follow_selection(self) -> None:
-        scene = self.view.scene()
-        wanted = {item for key, item in scene.things.items() if key in self._selection.keys}
+        wanted = self._selected_items()
         self._is_following = True
-        for item in wanted.symmetric_difference(scene.selectedItems()):
+        for item in wanted.symmetric_difference(self.view.scene().selectedItems()):
             item.setSelected(item in wanted)
         self._is_following = False
+
+    def _selected_items(self) -> set[Item]:
+        """The items of the selection, a collapsed box for those in it."""
+        keys, things = self._selection.keys, self.view.scene().things
+        boxes = {box.key for box in self.drawn.vertices if not keys.isdisjoint(box.members)}
+        return {item for key, item in things.items() if key in keys | boxes}
 
     def _search(self) -> None:
         text = self.bar.search.text()
@@ -266,8 +271,10 @@ class GraphPanel(QWidget):
 
     def reveal_selection(self) -> None:
         """Show where in the graph the selection is."""
-        things, keys = self.view.scene().things, self._selection.keys
-        self.view.reveal(item for key, item in things.items() if key in keys)
+        found = self._selected_items()
+        self.view.reveal(found)
+        if self._selection.keys and not found:
+            self._line.note("nothing of the selection is drawn: see Filter and View")
 
     def _set_highlights(self, on: bool) -> None:
         self.view.scene().highlights = on

@@ -17,6 +17,7 @@ from unit.rqt.hands import (
     context_menu,
     drag,
     is_ready,
+    is_settled,
     move,
     no_boxes,
     topic,
@@ -242,6 +243,26 @@ def test_what_is_hidden_stays_selected_in_the_table_and_an_arrow_does_not(qtbot,
     until(qtbot, lambda: window.selection.edges == [])
     window.graph.bar.nodelets.clear()
     until(qtbot, lambda: "n_/field/tracker" in drawn_selection(window))
+
+
+def test_the_way_to_what_is_in_a_collapsed_box_leads_to_that(qtbot, window, view, scene):
+    window.graph.bar.collapse([("/nao1",)])
+    until(qtbot, lambda: "b_/nao1" in vertex_keys(window) and is_settled(window))
+    view.zoom_by(6)
+    view.centerOn(scene.vertices["n_/field/ceiling_camera"])
+    window.health.lead("lost")
+    box = scene.vertices["b_/nao1"]
+    assert view.seen.contains(box.sceneBoundingRect()) and drawn_selection(window) == {"b_/nao1"}
+    assert window.selection.nodelets == ["/nao1/recorder"] == window.active.table.chosen()
+    assert not context_menu(qtbot, window, box)["Copy &names"].isEnabled()
+    assert not window.selection.nodelets, "the menu is that of the box alone"
+
+
+def test_the_way_to_what_is_hidden_says_so(qtbot, window):
+    window.graph.bar.nodelets.setText("/field")
+    until(qtbot, lambda: "n_/nao1/recorder" not in vertex_keys(window))
+    window.health.lead("lost")
+    assert "nothing of the selection is drawn" in window.line.text
 
 
 def test_what_is_gone_is_not_selected(qtbot, window, remote):
