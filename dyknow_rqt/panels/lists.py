@@ -10,6 +10,7 @@ from typing import Mapping
 from python_qt_binding.QtCore import QPoint, Qt, Signal
 from python_qt_binding.QtWidgets import QFileDialog, QPushButton, QSplitter
 
+from dyknow.errors import DyKnowError
 from dyknow.model.graph import NodeletKind, State
 from dyknow.model.transformation import IN, Transformation, as_specification
 from dyknow_rqt.graph.changes import add_transformations, protect, remove_transformations
@@ -122,8 +123,11 @@ class LibraryPanel(Panel):
         self._follow_selection()
 
     def import_file(self, path: str) -> None:
-        with open(path, encoding="utf-8", errors="strict") as file:
-            text = file.read()
+        try:
+            with open(path, encoding="utf-8") as file:
+                text = file.read()
+        except UnicodeDecodeError as error:
+            raise DyKnowError(f"{path}: is not UTF-8; expected XML in UTF-8") from error
         self._monitor.do(add_transformations(text, path.rpartition("/")[2]))
 
     def export_file(self, path: str) -> None:

@@ -126,6 +126,15 @@ def test_a_library_of_a_hundred_thousand_does_not_hold_up_the_window(qtbot, wind
     assert time.thread_time() - start < 30.0
 
 
+def test_an_import_that_is_not_utf8_says_so(window, tmp_path, monkeypatch):
+    path = tmp_path / "latin.xml"
+    path.write_bytes("<transformation><label>caméra</label></transformation>".encode("latin-1"))
+    chosen = str(path), ""
+    monkeypatch.setattr("dyknow_rqt.panels.lists.QFileDialog.getOpenFileName", lambda *_: chosen)
+    window.library.import_.click()
+    assert window.line.text == f"{path}: is not UTF-8; expected XML in UTF-8"
+
+
 def test_a_refused_import_shows_the_words_of_the_manager(qtbot, window, tmp_path):
     path = tmp_path / "bad.xml"
     path.write_text("<transformation>\n<label>x</label>\n<sauce>p/C</sauce></transformation>")
