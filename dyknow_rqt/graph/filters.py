@@ -80,7 +80,7 @@ def _matcher(part: str) -> Callable[[str], bool]:
         return lambda name: name == whole or name.startswith(whole + "/")
     try:
         pattern = re.compile(part)
-    except re.error as error:
+    except (re.error, OverflowError, RecursionError) as error:
         raise BadFilter(part, error) from error
     return lambda name: pattern.match(name) is not None
 

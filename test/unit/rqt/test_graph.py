@@ -97,6 +97,14 @@ def test_a_filter_that_is_no_expression_says_where():
         parse("/b, /a[")
 
 
+@pytest.mark.parametrize(
+    "part", ["/a{99999999999}", "(" * 5000 + ")" * 5000], ids=["repeated", "nested"]
+)
+def test_a_filter_that_is_too_large_an_expression_is_refused(part):
+    with pytest.raises(BadFilter, match="is not a regular expression"):
+        parse(part)
+
+
 def test_completion_is_of_the_last_part():
     names = ["/robot/cam", "/robot/ball", "/world"]
     assert completions("/world, -/ro", names) == [
