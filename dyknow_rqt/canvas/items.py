@@ -255,6 +255,7 @@ class Wire(QLabel):
         self.hide()
 
     def begin(self, start: PortItem) -> None:
+        self.end()
         self.start, self._line = start, QGraphicsPathItem()
         self._line.setPen(QPen(start.colours.chosen, 2, Qt.DashLine))
         self._line.setZValue(20)

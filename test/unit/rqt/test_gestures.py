@@ -92,6 +92,15 @@ def test_a_drag_says_its_type_and_what_it_replaces(qtbot, window, remote, view):
     until(qtbot, lambda: topic(remote, CEILING) == "/field/ball")
 
 
+def test_a_press_without_the_release_of_the_one_before_draws_one_line(qtbot, view, scene):
+    count, place = len(scene.items()), view.place_of(CEILING)
+    for _ in range(2):
+        qtbot.mousePress(view.viewport(), Qt.LeftButton, Qt.NoModifier, place)
+    assert len(scene.items()) == count + 1
+    qtbot.mouseRelease(view.viewport(), Qt.LeftButton, Qt.NoModifier, place)
+    assert len(scene.items()) == count
+
+
 def test_an_arrow_of_an_ordinary_node_is_not_disconnected(qtbot, window, remote, caplog):
     view, before = window.graph.view, wiring_of(remote.graph().nodelets)
     window.graph.bar.choose("nodes", 1)
