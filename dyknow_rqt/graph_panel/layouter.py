@@ -75,6 +75,7 @@ class Layouter(QObject):
         self._drawing = self._before = Drawing()
         self._process = QProcess(self)
         self._process.finished.connect(self._finished)
+        self._process.errorOccurred.connect(self._fail)
         self._waiting = QTimer(self, singleShot=True, interval=_WAITING, timeout=self._arrange)
         self._together = QTimer(self, singleShot=True, interval=_TOGETHER, timeout=self._go_by)
 
@@ -134,6 +135,11 @@ class Layouter(QObject):
             for number, (_, text) in enumerate(self._running):
                 self._process.write(text.replace(_TITLE, f"digraph g{number} {{", 1).encode())
             self._process.closeWriteChannel()
+
+    def _fail(self, error: QProcess.ProcessError) -> None:
+        """Go on as after no answer where not even the shell was started."""
+        if error == QProcess.FailedToStart:
+            self._finished()
 
     def _finished(self) -> None:
         answer, running = bytes(self._process.readAllStandardOutput()), self._running

@@ -61,6 +61,24 @@ def test_without_graphviz_there_is_still_a_drawing(qtbot, program):
     watched.layouter.close()
 
 
+def test_graphviz_is_asked_again_after_a_shell_that_could_not_be_started(qtbot, monkeypatch):
+    watched = Watched()
+    process = watched.layouter._process
+    begin, begun = process.start, []
+
+    def start(shell, words):
+        begun.append(shell)
+        begin(shell if begun[1:] else "/no/such/shell", words)
+
+    monkeypatch.setattr(process, "start", start)
+    watched.lay_out(chains(4))
+    until(qtbot, lambda: watched.complaints and watched.layouter.is_idle)
+    watched.lay_out(chains(5))
+    until(qtbot, lambda: watched.layouter.is_idle)
+    assert len(begun) == 2 and len(watched.complaints) == 1
+    watched.layouter.close()
+
+
 def test_what_takes_long_is_spread_first_and_swapped_in(qtbot, script, tmp_path):
     done = tmp_path / "done"
     watched = Watched(script(f"while [ ! -e {done} ]; do sleep 0.01; done; exec dot $@"))
