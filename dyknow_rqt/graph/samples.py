@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
@@ -28,8 +29,9 @@ _COLOURS = {
     "yuv422": (2, (1, 1, 1)),
     "yuv422_yuy2": (2, (0, 0, 0)),
 }
-#: Numbers of other pixels than bytes, by how their encodings begin.
-_DEPTHS = {"16": "u2", "mono16": "u2", "32F": "f4"}
+#: Encodings of other pixels, with their bits and kind of number: mono8, bayer_rggb16, 32FC1.
+_GREYS = re.compile(r"(?:mono|bayer_[a-z]{4})?(8|16|32|64)(?:([USF])C\d*)?\Z")
+_KINDS = {None: "u", "U": "u", "S": "i", "F": "f"}
 
 
 class SmallImage(NamedTuple):
@@ -149,20 +151,23 @@ def _pixels(message: Any) -> Any | None:
     step = max(-(-message.width // WIDEST), -(-message.height // HIGHEST), 1)
     encoding = message.encoding
     size, places = _COLOURS.get(encoding, (0, (0, 0, 0)))
-    depth = next((kind for begin, kind in _DEPTHS.items() if encoding.startswith(begin)), "")
+    greys = _GREYS.match(encoding)
     try:
         rows = numpy.frombuffer(message.data, numpy.uint8).reshape(message.height, message.step)
         if size:
             rows = rows[:, : message.width * size].reshape(message.height, message.width, size)
             return rows[::step, ::step][:, :, places]
-        channels = message.step // message.width // (int(depth[1]) if depth else 1)
-        kind = numpy.dtype((">" if message.is_bigendian else "<") + depth if depth else "u1")
-        rows = rows[:, : message.width * channels * kind.itemsize]
+        if greys is None:
+            return None
+        bytes_each, order = int(greys[1]) // 8, ">" if message.is_bigendian else "<"
+        kind = numpy.dtype(f"{order}{_KINDS[greys[2]]}{bytes_each}")
+        channels = message.step // message.width // bytes_each
+        rows = rows[:, : message.width * channels * bytes_each]
         grey = numpy.ascontiguousarray(rows).view(kind)[::step, :: step * channels]
-        if depth:
+        if kind != numpy.uint8:
             grey = _stretched(grey)
         return numpy.repeat(grey[:, :, None], 3, axis=2)
-    except (ValueError, ZeroDivisionError):
+    except (TypeError, ValueError, ZeroDivisionError):
         return None
 
 

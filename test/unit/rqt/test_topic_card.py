@@ -99,13 +99,24 @@ def test_an_image_is_reduced_and_keeps_its_colours(encoding, pixel, seen):
     assert list(found.data[:3]) == list(found.data[-3:]) == seen
 
 
-@pytest.mark.parametrize("kind", [numpy.uint16, numpy.float32])
-def test_distances_are_spread_over_all_greys(kind):
-    distances = numpy.linspace(500, 3000, 300).astype(kind)[None, :].repeat(200, 0)
-    if kind is numpy.float32:
+@pytest.mark.parametrize(
+    ("encoding", "kind"),
+    [
+        ("16UC1", numpy.uint16),
+        ("16SC1", numpy.int16),
+        ("32SC1", numpy.int32),
+        ("32FC1", numpy.float32),
+        ("64FC1", numpy.float64),
+        ("mono16", numpy.uint16),
+        ("bayer_rggb16", numpy.uint16),
+    ],
+)
+def test_distances_are_spread_over_all_greys(encoding, kind):
+    start = -500 if encoding.startswith(("16S", "32S")) else 500
+    distances = numpy.linspace(start, 3000, 300).astype(kind)[None, :].repeat(200, 0)
+    if numpy.issubdtype(kind, numpy.floating):
         distances[0] = numpy.nan
-    message = image("16UC1" if kind is numpy.uint16 else "32FC1", distances)
-    found = sampled(message).image
+    found = sampled(image(encoding, distances)).image
     greys = numpy.frombuffer(found.data, numpy.uint8).reshape(found.height, found.width, 3)[
         1, :, 0
     ]
@@ -117,6 +128,8 @@ def test_an_image_that_cannot_be_read_says_so():
     for message in (image("rgb8", pixels), image("rgb8", pixels)):
         message.data = message.data[:7]
         assert sampled(message).image.note.endswith("cannot be shown")
+    for unknown in ("rgb16", "8FC1", "nv21"):
+        assert sampled(image(unknown, pixels)).image.note.endswith("cannot be shown")
     assert sampled(Image()).image is None
     assert sampled(CompressedImage(format="jpeg", data=b"no")).image.data == b"no"
 
