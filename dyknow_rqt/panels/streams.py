@@ -88,6 +88,8 @@ class StreamsPanel(Panel):
         self._explained = ""
         #: The number of the last question; answers to those before it are not shown.
         self._question = 0
+        #: Whether *Acquire* waits for what becomes of it.
+        self._is_acquiring = False
         #: A tag that is being acquired, and the claims before.
         self._awaited: tuple[str, frozenset[str]] = ("", frozenset())
         self._say("How the stream would be made is shown here")
@@ -133,13 +135,18 @@ class StreamsPanel(Panel):
 
     def _acquire(self) -> None:
         """The plan is requested first: then the stream is there already."""
-        request = self.request()
+        request, self._is_acquiring = self.request(), True
+        self._follow()
 
         def act(way: Way) -> None:
             self._awaited = request.tag, frozenset(each.claim_id for each in self._monitor.streams)
             self._monitor.do(acquire(request))
 
         self._explain(request, act)
+
+    def _end_acquisition(self) -> None:
+        self._is_acquiring = False
+        self._follow()
 
     def _explain(self, request: StreamRequest, then: Callable[[Way], None]) -> None:
         """Show how a stream would be made, or why it cannot be, and go on in any case."""
@@ -285,8 +292,9 @@ class StreamsPanel(Panel):
         self._types.setStringList(sorted({p.datatype for p in outputs} - {"", "*"}))
 
     def _follow(self) -> None:
-        for button in (self.preview, self.acquire):
-            button.setEnabled(bool(self.tag.text().strip()))
+        has_tag = bool(self.tag.text().strip())
+        self.preview.setEnabled(has_tag)
+        self.acquire.setEnabled(has_tag and not self._is_acquiring)
         self.table.follow(self._selection.claims)
         streams = self._chosen()
         self.release.setEnabled(bool(streams))
@@ -308,6 +316,7 @@ class StreamsPanel(Panel):
         self.tag.textEdited.connect(self._forget_plan)
         self.tag.textEdited.connect(self._begin_question)
         self._monitor.changed.connect(self._show_present_way)
+        self._monitor.settled.connect(self._end_acquisition)
         self.tag.textEdited.connect(
             lambda text: self._offered.setStringList(tag_completions(text, self._tags))
         )

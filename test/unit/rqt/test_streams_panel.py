@@ -70,6 +70,17 @@ def test_a_stream_is_previewed_acquired_and_released(qtbot, window, remote):
     assert panel.events.toPlainText().endswith("Track(ball): released (forgotten)")
 
 
+def test_two_quick_clicks_acquire_one_stream(qtbot, window, monkeypatch):
+    panel, monitor, asked = _ask_for(qtbot, window, "Track(ball)"), window.monitor, []
+    with monkeypatch.context() as patch:
+        patch.setattr(monitor, "ask", lambda *question: asked.append(question))
+        for _ in range(2):
+            qtbot.mouseClick(panel.acquire, Qt.LeftButton)
+    (question,) = asked
+    monitor.ask(*question)
+    until(qtbot, lambda: panel.acquire.isEnabled() and monitor.history.texts[0])
+
+
 def test_a_user_without_a_name_asks_for_streams(qtbot, window, monkeypatch):
     """As in a container."""
     for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
@@ -280,7 +291,12 @@ def test_what_a_new_plan_drops_is_struck_out(qtbot, window, remote):
 def test_an_answer_that_comes_late_is_not_shown(qtbot, window, monkeypatch):
     panel, asked, done, planned = _ask_for(qtbot, window, "Track(ball)"), [], [], []
     monkeypatch.setattr(window.monitor, "ask", lambda question, then, *failed: asked.append(then))
-    monkeypatch.setattr(window.monitor, "do", lambda change: done.append(change.text))
+
+    def do(change):
+        done.append(change.text)
+        window.monitor.settled.emit()
+
+    monkeypatch.setattr(window.monitor, "do", do)
     panel.planned.connect(planned.append)
 
     def question(button):
