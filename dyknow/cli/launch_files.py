@@ -62,7 +62,7 @@ def arguments_of(file: str) -> list[str]:
 
 
 def _arguments_in(text: str) -> list[str]:
-    elements = re.findall(r"<arg\s[^>]*>", text)
+    elements = re.findall(r"<arg\s[^<>]*>", text)
     settable = (each for each in elements if not re.search(r"\svalue\s*=", each))
     found = (re.search(r"\sname\s*=\s*[\"']([^\"']+)", each) for each in settable)
     return sorted({match.group(1) for match in found if match})

@@ -12,9 +12,9 @@ from __future__ import annotations
 import re
 from typing import Iterable, List, Mapping, NamedTuple, Tuple, Union
 
-_DOLLARS = re.compile(r"\$+(?=\{\?)")
+_DOLLARS = re.compile(r"(?<!\$)\$+(?=\{\?)")
 _REST = re.compile(r"\{(\?[^{}]*)\}")
-_LAST_DOLLARS = re.compile(r"\$+\Z")
+_LAST_DOLLARS = re.compile(r"(?<!\$)\$+\Z")
 
 
 class Placeholder(NamedTuple):

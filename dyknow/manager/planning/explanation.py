@@ -24,8 +24,8 @@ from dyknow.graphviz import quote
 from dyknow.manager.planning.problem import Answer, Instance, Live, NoPlan, Plan, Source
 from dyknow.manager.specifications.tags import written_bindings
 
-_LINE = re.compile(r"(?P<lead>[ │├└─]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
-_BOUND = re.compile(r"(.*)( \[\?[^\[\]]*=[^\[\]]*\])\Z")
+_LINE = re.compile(r"(?P<lead>[ │├└]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
+_BOUND = re.compile(r"(.*)( \[\?[^\[\]=]*=[^\[\]]*\])\Z")
 _INDENT = 3
 _ABOVE = "shared, see above"
 _TOPIC = "topic"

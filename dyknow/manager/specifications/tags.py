@@ -21,7 +21,7 @@ from dyknow.errors import DyKnowError, InvalidTag, InvalidType
 if TYPE_CHECKING:
     from dyknow.formulas import Range
 
-_TERM = re.compile(r"\s*([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\)\s*)?\Z")
+_TERM = re.compile(r"([^(),?]*[^(),?\s])\s*(?:\(([^()]*)\))?\Z")
 _ARGUMENT = re.compile(r"\??[^(),?]*[^(),?\s]\Z")
 
 #: Lists of tags whose terms are remembered.
@@ -116,12 +116,12 @@ def parse_tag(text: str) -> Term:
     """
     if len(text) > MAX_LENGTH:
         raise InvalidTag(text[:40] + "…", f"expected at most {MAX_LENGTH} characters")
-    found = _TERM.match(text)
+    found = _TERM.match(text.strip())
     if found is None:
         raise InvalidTag(text, "expected Functor or Functor(arg, …)")
     functor, inner = found.groups()
     if inner is None:
-        return Term(functor.strip())
+        return Term(functor)
     args = tuple([arg.strip() for arg in inner.split(",")])
     if len(args) > MAX_ARGUMENTS:
         raise InvalidTag(text, f"expected at most {MAX_ARGUMENTS} arguments")
@@ -129,9 +129,9 @@ def parse_tag(text: str) -> Term:
         if not _ARGUMENT.match(arg):
             raise InvalidTag(text, f"expected a name or a ?variable as argument, not '{arg}'")
     if not [arg for arg in args if arg[:1] == "?" and ":" in arg]:
-        return Term(functor.strip(), args)
+        return Term(functor, args)
     names, types = zip(*[_variable(text, arg) if arg[:1] == "?" else (arg, "") for arg in args])
-    return Term(functor.strip(), names, types)
+    return Term(functor, names, types)
 
 
 def _variable(text: str, arg: str) -> tuple[str, str]:

@@ -24,9 +24,7 @@ from dyknow.model.transformation import Parameter
 Value = Union[str, int, float, bool, List[Any], Dict[str, Any]]
 
 _INT = re.compile(r"[+-]?[0-9]+\Z")
-_DOUBLE = re.compile(
-    r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z"
-)
+_DOUBLE = re.compile(r"[+-]?(([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?|inf|nan)\Z")
 _LONG_NUMBER = re.compile(r"[-+0-9a-fA-Fxo_.:]+\Z")
 #: What XML, and so XML-RPC, has no way to write; a carriage return comes out as a line feed.
 _NO_XML = re.compile("[\0-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -95,12 +93,11 @@ def filled(
     variables = variables_of(text)
     if type_ != "yaml" or not variables:
         return fill(text, names)
-    mark = "\ue000"  # a letter of private use
-    while mark in text:
-        mark += "\ue001"
-    places = {each: f"{mark}{number}\ue002" for number, each in enumerate(variables)}
+    letters = set(text)
+    mark = next(each for each in map(chr, range(0xE000, 0x110000)) if each not in letters)
+    places = {each: f"{mark}{number}{mark}" for number, each in enumerate(variables)}
     value = _parse_yaml(fill(text, places), limits)
-    place = re.compile(f"{mark}([0-9]+)\ue002")
+    place = re.compile(f"{mark}([0-9]+){mark}")
     named = _replaced(value, lambda each: place.sub(lambda m: names[variables[int(m[1])]], each))
     written: str = yaml.safe_dump(
         named, allow_unicode=True, default_flow_style=True, sort_keys=False, width=float("inf")

@@ -442,6 +442,7 @@ XHTML = """<html xmlns="http://www.w3.org/1999/xhtml"><head><title>404 not found
         ("o.owl", "# mine\nPrefix(:=<urn:a>)\nOntology(<urn:a>)", "is in OWL functional syntax"),
         ("o.owl", "Prefix: : <urn:a>\nOntology: <urn:a>", "is in Manchester syntax"),
         ("o.owl", '<?xml version="1.0"?>\n<Ontology/>', "is in OWL/XML"),
+        ("o.owl", "<!-- a -->" * 40 + "<Error/>", "it begins with <Error>"),
         ("o.owl", OWL_XML, "it begins as OWL/XML, which is not read; expected <rdf:RDF>"),
         ("o.rdf", XHTML, "it begins with <html>; expected <rdf:RDF>"),
         ("o.owl", "<!DOCTYPE html><html><body/></html>", "it begins with <html>"),

@@ -3,9 +3,11 @@
 
 """Parsing specifications: accepted and refused texts, hostile ones, warnings and problems."""
 
+import contextlib
 import json
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,11 +16,14 @@ from hypothesis import strategies as st
 from specification_strategies import transformations
 
 from dyknow.errors import Problem, SpecificationError
+from dyknow.manager.planning.explanation import read_tree, tree_as_dot
 from dyknow.manager.specifications import findings
 from dyknow.manager.specifications.limits import SpecificationLimits
 from dyknow.manager.specifications.ontologies.ontology import Ontology
 from dyknow.manager.specifications.specification import parse, parse_file
-from dyknow.manager.specifications.values import value_of
+from dyknow.manager.specifications.tags import read_tags
+from dyknow.manager.specifications.values import filled, infer_type, parse_value, value_of
+from dyknow.model.placeholders import variables_of
 from dyknow.model.transformation import Parameter, Port, Program, Transformation
 
 HERE = Path(__file__).parent
@@ -26,6 +31,7 @@ EXAMPLES = HERE.parents[2] / "examples" / "transformations"
 BAD = sorted((HERE / "bad").glob("*.xml"))
 
 
+LONG = 2**19
 GOOD = "<transformation><label>a</label><source>p/A</source></transformation>"
 
 
@@ -325,6 +331,25 @@ def test_the_yaml_of_a_text_is_limited_as_a_whole():
 )
 def test_a_tag_that_does_not_end_is_not_kept_for_ever(text):
     assert problems_of(text) == [(1, "a tag or comment here is too long")]
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (variables_of, "$" * LONG + "x${?a}"),
+        (partial(parse_value, "double"), "1" * LONG + "x"),
+        (infer_type, "1" * LONG + "x."),
+        (partial(filled, "yaml", names={"?a": "b"}), "\ue000" + "\ue001" * LONG + "${?a}"),
+        (lambda text: read_tags(tuple(f"{text}{each}?" for each in range(2**12))), " " * 4090),
+        (read_tree, "plan\n" + "─ " * LONG),
+        (lambda text: tree_as_dot(f"plan\n└─ {text} (new)"), "a [?" + "=" * LONG),
+    ],
+    ids=["dollars", "double", "type", "YAML", "tags", "plan", "bindings"],
+)
+def test_a_text_is_read_in_the_time_of_its_length(read, text):
+    """Or for minutes, if that grows with its square."""
+    with contextlib.suppress(ValueError):
+        read(text)
 
 
 def test_what_is_complete_before_the_end_of_the_reading_is_checked_too():

@@ -27,7 +27,7 @@ from dyknow.manager.specifications.limits import SpecificationLimits
 
 _FORMATS = {".ttl": "turtle", ".owl": "xml", ".rdf": "xml", ".nt": "nt"}
 _NAMES = {"turtle": "Turtle", "xml": "RDF/XML", "nt": "N-Triples"}
-_XML = r"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*"
+_XML = r"(<\?xml[^>]*>\s*)?(<!--(?:(?!-->).)*-->\s*)*"
 #: How files begin, their format, and its name.
 _BEGINNINGS = (
     (r"(Prefix|Ontology)\s*\(", "", "OWL functional syntax, which is not read"),
