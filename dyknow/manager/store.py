@@ -9,9 +9,10 @@ change survives when the manager is killed. No fault of the file stops an operat
 
 - *Trouble*: the file cannot be read or written now (disk full, read-only, locked by another
   program). It is left alone, and written as soon as that works; ``trouble`` explains it.
-- *Damage*: the contents differ from the last write, as sqlite or a checksum says. The file is set
-  aside and written again from memory or, at the start, from the newest good backup. Two backups
-  are beside the file, the last good states of it.
+- *Damage*: the contents differ from the last write, as sqlite or a checksum says, or the file was
+  removed or replaced. What is there is set aside, and the file written again from memory or, at
+  the start, from the newest good backup. Two backups are beside the file, the last good states
+  of it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import sqlite3
 import tempfile
 import time
 import zlib
+from os.path import samestat
 from pathlib import Path
 from typing import Callable, Dict, Iterator, Mapping, Optional, Tuple, TypeVar
 
@@ -112,6 +114,7 @@ class Store:
         self._backup_turn = turn_lock("backup of the state file")
         self._turn = turn_lock("state file")
         self._connection: sqlite3.Connection | None = None
+        self._file: os.stat_result | None = None  # the file that has the entries
         self._rows: Rows = {}
         self._pending: dict[tuple[str, str], str | None] = {}  # changes that are not on disk yet
         self._damage = ""  # of the file, until it is replaced
@@ -170,9 +173,10 @@ class Store:
             self._change(changes)
 
     def write_pending(self) -> None:
-        """Write the pending changes, if there are any and it is time to try again."""
+        """Write the pending changes, or a file that is gone, if it is time to try again."""
         with self._turn:
-            if (self._pending or self.trouble) and self._clock() >= self._retry_at:
+            is_due = self._pending or self.trouble or self._is_gone()
+            if is_due and self._clock() >= self._retry_at:
                 self._write()
 
     def end(self) -> None:
@@ -184,6 +188,7 @@ class Store:
     def back_up(self) -> None:
         """Make a backup if there is something new; a failure is logged, and tried again later."""
         with self._backup_turn:
+            self.write_pending()
             with self._turn:
                 if self._connection is None or self.trouble or not self._is_new:
                     return
@@ -194,8 +199,7 @@ class Store:
                 with self._turn:
                     self._is_new = True
                     if not isinstance(error, OSError) and not _trouble(error):
-                        self._connection.close()
-                        self._connection, self._damage = None, str(error)
+                        self._close(str(error))
                         self._write()
                 if str(error) != self._no_backup:
                     self._no_backup = str(error)
@@ -221,16 +225,18 @@ class Store:
 
     def _start(self) -> None:
         try:
-            os.makedirs(os.path.dirname(os.path.abspath(self.path)), 0o700, exist_ok=True)
+            _make_folder(self.path)
             if os.path.exists(self.path + ".new") and not os.path.exists(self.path):
                 _put_in_place(self.path)  # killed while it was replaced
-            if os.path.exists(self.path) and os.path.getsize(self.path) < _HEADER:
-                self._damage = "it is cut off"
+            if os.path.exists(self.path):
+                self._file = os.stat(self.path)
+                if self._file.st_size < _HEADER:
+                    self._damage = "it is cut off"
         except OSError as error:
             raise StoreError(self.path, error) from error
         if not self._damage:
             try:
-                self._connection, self._rows = _open(self.path, _START_PATIENCE)
+                _, self._rows = self._open(_START_PATIENCE)
                 return
             except _FAULTS as error:
                 trouble = error
@@ -243,26 +249,43 @@ class Store:
         self._rows, self._substitute = _newest_backup(self.path)
         self._write()
 
+    def _open(self, patience: float) -> tuple[sqlite3.Connection, Rows]:
+        self._connection, rows = _open(self.path, patience)
+        self._file = os.stat(self.path)
+        return self._connection, rows
+
+    def _is_gone(self) -> bool:
+        """Whether the file was removed, or another one took its place."""
+        try:
+            return self._file is not None and not samestat(os.stat(self.path), self._file)
+        except OSError as error:
+            return isinstance(error, FileNotFoundError)
+
+    def _close(self, damage: str) -> None:
+        """Close a file that is to be replaced."""
+        if self._connection is not None:
+            self._connection.close()
+        self._connection, self._damage = None, damage
+
     def _reopen(self) -> sqlite3.Connection:
         """Open a file that could not be opened the last time; one that is damaged is replaced."""
         if not self._damage:
             try:
-                self._connection, _ = _open(self.path, 0.0)
-                return self._connection
+                return self._open(0.0)[0]
             except _FAULTS as error:
                 if _trouble(error):
                     raise
                 self._damage = str(error)
         aside = _replace(self.path, self._rows)
-        self._connection, _ = _open(self.path, 0.0)
+        where = f"it was set aside as '{aside}'; " if os.path.exists(aside) else ""
+        connection, _ = self._open(0.0)
         counts = collections.Counter(table for table, _ in self._rows)
         kept = ", ".join(f"{counts[table]} {table}" for table in TABLES if counts[table])
         self._complain(
-            f"was damaged ({self._damage}); it was set aside as '{aside}'; {self._substitute}, "
-            f"with {kept or 'no entries'}"
+            f"was damaged ({self._damage}); {where}{self._substitute}, with {kept or 'no entries'}"
         )
         self._damage, self._substitute = "", _SUBSTITUTE
-        return self._connection
+        return connection
 
     def _complain(self, what: str) -> None:
         complaint = f"state file '{self.path}': {what}"
@@ -287,6 +310,8 @@ class Store:
 
     def _write(self) -> None:
         try:
+            if not self._damage and self._is_gone():
+                self._close("it was removed or replaced")
             self._put(self._connection or self._reopen())
         except _MISUSE as error:
             raise StoreError(self.path, error) from error
@@ -508,6 +533,7 @@ def _read_aside(path: str) -> Rows:
 def _replace(path: str, rows: Rows) -> str:
     """Write a new file with these rows; the old one is set aside, to the path that is returned."""
     new = path + ".new"
+    _make_folder(path)
     _remove(new)
     connection, _ = _open(new, 0.0)
     with contextlib.closing(connection):
@@ -564,6 +590,10 @@ def _free_name(path: str, ending: str = "") -> str:
         count += 1
         name = f"{base}-{count}{ending}"
     return name
+
+
+def _make_folder(path: str) -> None:
+    os.makedirs(os.path.dirname(os.path.abspath(path)), 0o700, exist_ok=True)
 
 
 def _make_private(path: str) -> None:

@@ -474,6 +474,40 @@ def test_a_file_that_is_damaged_while_it_is_open_is_replaced(tmp_path: Path) -> 
     assert reopened(path) == {**ROWS, **CLAIM}
 
 
+def remove(path: str) -> None:
+    for suffix in ("", "-wal", "-shm"):
+        os.remove(path + suffix)
+
+
+def move(path: str) -> None:
+    shutil.move(os.path.dirname(path), os.path.dirname(path) + "-moved")
+
+
+def exchange(path: str) -> None:
+    os.replace(written(path + ".other", {("facts", "revision"): "7"}), path)
+
+
+@pytest.mark.parametrize("take", [remove, move, exchange])
+@pytest.mark.parametrize("look", [Store.write_pending, Store.back_up, lambda file: file.end()])
+def test_a_file_that_is_gone_is_written_again(
+    tmp_path: Path, take: Callable[[str], None], look: Callable[[Store], None]
+) -> None:
+    path = str(tmp_path / "folder" / "state")
+    file = Store(path)
+    file.write(ROWS)
+    file.write(CLAIM)
+    take(path)
+    look(file)
+    assert "it was removed or replaced" in file.complaint
+    assert ("set aside" in file.complaint) == (take is exchange)
+    assert bool(kept_aside(path)) == (take is exchange)
+    expected = content(file)
+    file.back_up()
+    os.replace(path + ".backup", path + ".copy")
+    file.close()
+    assert reopened(path) == reopened(path + ".copy") == expected
+
+
 def test_no_revision_goes_back_where_a_backup_takes_the_place_of_a_file(tmp_path: Path) -> None:
     """The backup was made before the last block of revisions was reserved."""
     path, backup, earlier = (tmp_path / name for name in ("state", "state.backup", "earlier"))
