@@ -421,7 +421,7 @@ class FakeHost(Host):
         self._step("load", request.name)
         if request.kind.is_node:
             if manager in self.processes and self.processes[manager].state.alive:
-                raise NameTaken(request.name)
+                raise NameTaken(request.name, "running", "another node")
             if request.source in self.ending:
                 raise HostError(f"node {request.name}: it ended at its start")
             self._start(manager, request.kind, manager)

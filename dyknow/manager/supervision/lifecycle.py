@@ -469,7 +469,7 @@ class Lifecycle:
             if record.is_protected:
                 raise Protected(name)
             state = self._host.states().get(record.manager)
-            if state is not None and state.foreign:
+            if state is not None and state.foreign and not record.is_spawned:
                 raise NotOurs(name, record.manager, record.owner)
             try:
                 self.end(record)
@@ -511,6 +511,8 @@ class Lifecycle:
         self._graph.remove(record.name)
 
     def _unload(self, record: Record) -> None:
+        if self._is_displaced(record):
+            return
         try:
             self._host.unload(record.manager, record.name)
         except HostError:
@@ -543,10 +545,20 @@ class Lifecycle:
 
     def dispose(self, record: Record) -> None:
         """Delete the parameters of a nodelet that is gone, and end its own process."""
+        if self._is_displaced(record):
+            return
         if record.is_spawned:
             self._host.forget(record.name, parameter_names(record))
         if record.isolated:
             self._host.retire(record.manager)
+
+    def _is_displaced(self, record: Record) -> bool:
+        return is_displaced(record, self._host.states().get(record.manager))
+
+
+def is_displaced(record: Record, state: ProcessState | None) -> bool:
+    """Whether a node of another client has the name of one of ours, which has ended."""
+    return state is not None and state.foreign and record.is_spawned and record.kind.is_node
 
 
 def parameter_names(record: Record) -> list[str]:

@@ -30,7 +30,7 @@ from dyknow.manager.record import (
     seen_ports,
     with_present_ports,
 )
-from dyknow.manager.supervision.lifecycle import Lifecycle, ManagerContext
+from dyknow.manager.supervision.lifecycle import Lifecycle, ManagerContext, is_displaced
 from dyknow.manager.supervision.restarts import outdated
 from dyknow.model.graph import PortState, State
 from dyknow.model.transformation import Transformation
@@ -199,6 +199,8 @@ class Observer:
             return ""
         if record.state is State.FAILED:
             return ""
+        if is_displaced(record, report.processes.get(record.manager)):
+            return NameTaken(record.name, "running", "another node").holder
         if fate is Fate.DIED and record.is_spawned:
             crash = report.crashes.get(record.incarnation)
             cause = f" ({crash.cause})" if crash is not None else ""
@@ -390,6 +392,8 @@ def _owner(record: Record, reported: Reported) -> str:
 def _fate(record: Record, report: HostReport) -> Fate:
     state = report.processes.get(record.manager)
     listed = report.nodelets.get(record.manager)
+    if is_displaced(record, state):
+        return Fate.DIED
     if state is not None and listed is not None and record.name in listed:
         return Fate.RUNS
     if state is not None and state.unseen:

@@ -101,6 +101,34 @@ def test_the_name_of_another_node_is_taken(world: World) -> None:
     assert world.manager.graph.get("/copier").label == ""
 
 
+@pytest.mark.parametrize("end", ["destroyed", "ended", "gone"])
+def test_another_node_that_takes_over_a_name_is_let_alone(world: World, end: str) -> None:
+    manager, host = world.manager, world.host
+    world.spawn("copier", "/copier", config={"words": "/mine"})
+    host.kill("/copier")
+    host.run_node("/copier", COPIER, {"words": "/theirs"}, NodeletKind.CPP_NODE)
+    host.parameters["/copier/rate"] = 7
+    theirs = host.nodelet("/copier")
+    for _ in range(3):
+        manager.look()
+        assert manager.graph.get("/copier").detail == "another node named '/copier' is running"
+    if end == "destroyed":
+        manager.destroy("/copier")
+        manager.look()
+        assert manager.graph.get("/copier").owner == "/copier"
+    elif end == "ended":
+        manager.end()
+    assert host.nodelet("/copier") is theirs
+    assert theirs.ports["words"].topic == "/theirs"
+    assert host.parameters == {"/copier/rate": 7}
+    if end == "gone":
+        host.kill("/copier")
+        assert isinstance(world.clock, HandClock)
+        world.clock.time += 10.0
+        manager.look()
+        assert manager.graph.get("/copier").status.connections == {"words": "/mine"}
+
+
 @pytest.mark.parametrize(
     ("guards", "words", "label"),
     [
