@@ -255,6 +255,10 @@ def _otherwise_made(
         return ()  # it is a problem of the plan
     if bindings_of(nodelet.parameters) != bindings_of(present.parameters):
         found.append("its variables were bound otherwise")
+    names = {each.name for each in wanted}
+    for name, _, text in present.parameters:
+        if name[:1] != "?" and name not in names:
+            found.append(f"parameter {name} is {shorten(text)}, expected none")
     if stored is not None and wanted:
         values = stored(present.name, [each.name for each in wanted])
         for parameter in wanted:

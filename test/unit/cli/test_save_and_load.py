@@ -288,6 +288,16 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_again(client, file):
     assert run(client, "load w.xml --replace --json").json["nodelets"]["replaced"] == []
 
 
+def test_a_nodelet_with_a_parameter_that_the_file_lacks_is_made_again(client):
+    given = (Parameter("gain", "", "5"), Parameter("rate", "", "20"))
+    client.world.spawn("camera", "cam", config={"image": "/raw"}, parameters=given)
+    found = run(client, "load w.xml --replace --json").json
+    differences = ["parameter gain is 5, expected none", "parameter rate is 20.0, expected 30"]
+    assert found["differences"] == [{"nodelet": "/cam", "differences": differences}]
+    assert "/cam/gain" not in client.world.host.parameters
+    assert run(client, "load w.xml --replace --json").json["nodelets"]["replaced"] == []
+
+
 def test_a_parameter_that_is_not_a_number_is_that_of_the_file(client):
     text = client.world.manager.library.get("camera").to_xml()
     client.world.manager.add_transformation(text.replace(">30<", ">nan<"))
