@@ -270,8 +270,9 @@ class _NodeletReader:
         if name is None:
             return ""
         try:
-            if names.check(name, key).startswith("/"):
-                return name
+            checked = names.check(name, key)
+            if checked.startswith("/"):
+                return checked
             problem = f"{key}=\"{name}\"; expected a global name, '/{name}'"
         except InvalidName as error:
             problem = str(error)

@@ -131,6 +131,15 @@ def test_a_nodelet_twice_in_one_line_is_refused() -> None:
         read_wiring(f'<wiring version="1"><nodelets>{twice}</nodelets></wiring>'.encode(), "w.xml")
 
 
+def test_a_slash_at_the_end_of_a_name_is_none() -> None:
+    (nodelet,) = read_wiring(
+        b'<wiring version="1"><nodelets><nodelet name="/a/" transformation="t" manager="/m/">'
+        b'<connection port="in" topic="/b/"/></nodelet></nodelets></wiring>',
+        "w.xml",
+    ).nodelets
+    assert (nodelet.name, nodelet.manager, nodelet.config) == ("/a", "/m", {"in": "/b"})
+
+
 def test_a_wiring_of_too_many_nodelets_is_read_no_further() -> None:
     asked = []
 
