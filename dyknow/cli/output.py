@@ -67,7 +67,11 @@ def transformation_json(transformation: Transformation) -> Json:
     return {
         **picked(transformation, "label type source node isolated cost"),
         "parameters": _parameters_json(transformation.parameters),
-        "ports": [picked(port, "name direction datatype tags") for port in transformation.ports],
+        "ports": [
+            picked(port, "name direction datatype tags rate latency")
+            for port in transformation.ports
+        ],
+        "requires": [picked(each, "tag initially") for each in transformation.requires],
         "specification": transformation.to_xml(),
     }
 

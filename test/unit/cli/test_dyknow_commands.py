@@ -20,6 +20,7 @@ from dyknow.cli.main import execute, parse
 from dyknow.cli.shell import Shell
 from dyknow.errors import ManagerUnreachable, Refused
 from dyknow.model.statistics import NodeletLoad
+from dyknow.model.transformation import Port, Transformation
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.shell import shell_client
 from dyknow.ros.shell.load_meter import Loads
@@ -126,6 +127,16 @@ $ graph
 @pytest.mark.parametrize("name", SESSIONS)
 def test_sessions(chain, name):
     play(chain, SESSIONS[name])
+
+
+def test_a_transformation_as_json_has_all_its_fields(client):
+    text = client.world.manager.library.get("camera").to_xml()
+    required = "<requires>Holds(light)</requires></transformation>"
+    client.world.manager.add_transformation(text.replace("</transformation>", required))
+    (camera,) = run(client, "library camera --json").json["transformations"]
+    assert camera.keys() == {*Transformation._fields, "specification"}
+    assert camera["requires"] == [{"tag": "Holds(light)", "initially": True}]
+    assert camera["ports"][0].keys() == set(Port._fields)
 
 
 def test_list_as_json(chain):
