@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import re
 import signal
@@ -187,6 +186,8 @@ _TYPES = {bool: "bool", int: "int", float: "double", list: "yaml"}
 
 def _parameters(tree: Any, above: str = "") -> Iterator[Parameter]:
     """Yield the parameters of a namespace: given to the node, or set by itself."""
+    from dyknow.manager.specifications.values import as_yaml
+
     for key, value in sorted(tree.items()) if isinstance(tree, dict) else ():
         name = f"{above}{key}"
         if isinstance(value, dict):
@@ -194,7 +195,7 @@ def _parameters(tree: Any, above: str = "") -> Iterator[Parameter]:
             yield from _parameters(value, name + "/") if name != "guards" else ()
         else:
             type_ = _TYPES.get(type(value), "string")
-            text = str(value).strip() if type_ == "string" else json.dumps(value)
+            text = as_yaml(value) if type_ in ("bool", "yaml") else str(value).strip()
             yield Parameter(name, type_, text)
 
 

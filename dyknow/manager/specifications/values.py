@@ -99,8 +99,13 @@ def filled(
     value = _parse_yaml(fill(text, places), limits)
     place = re.compile(f"{mark}([0-9]+){mark}")
     named = _replaced(value, lambda each: place.sub(lambda m: names[variables[int(m[1])]], each))
+    return as_yaml(named)
+
+
+def as_yaml(value: Value) -> str:
+    """Write a value as YAML, in one line."""
     written: str = yaml.safe_dump(
-        named, allow_unicode=True, default_flow_style=True, sort_keys=False, width=float("inf")
+        value, allow_unicode=True, default_flow_style=True, sort_keys=False, width=float("inf")
     )
     return _END.sub("", written)
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 from unit.cli.fake_client import play
 
 from dyknow.cli.commands.programs import _SHARED, _base, _parameters
@@ -15,18 +17,20 @@ def test_parameters_are_read_again_as_they_are():
     tree = {
         "rate": 5,
         "gain": 0.5,
+        "range_max": math.inf,
         "fast": True,
         "frame": "map",
-        "pid": {"p": 1.5, "limits": [1, 2]},
+        "pid": {"p": 1.5, "limits": [1, 1e-7, -math.inf]},
         "guards": {"dyknow__manager": {"read_only": False}},
     }
     assert {each.name: value_of(each) for each in _parameters(tree)} == {
         "rate": 5,
         "gain": 0.5,
+        "range_max": math.inf,
         "fast": True,
         "frame": "map",
         "pid/p": 1.5,
-        "pid/limits": [1, 2],
+        "pid/limits": [1, 1e-7, -math.inf],
     }
 
 
