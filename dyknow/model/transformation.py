@@ -178,6 +178,19 @@ def _requires_xml(requirement: Requirement) -> str:
     return f"  <requires{initially}>{_text(requirement.tag)}</requires>"
 
 
+def read_requirements(specification: str) -> Tuple[Requirement, ...]:
+    """Read the requirements in a specification that `Transformation.to_xml` has written."""
+    if "<requires" not in specification:
+        return ()
+    from xml.etree import ElementTree  # here: most specifications have none
+
+    found = ElementTree.fromstring(specification).iter("requires")
+    return tuple(
+        Requirement((each.text or "").replace("$${", "${"), each.get("initially") != "false")
+        for each in found
+    )
+
+
 def _param_xml(parameter: Parameter) -> str:
     name, type_, text = parameter
     # Templates leave placeholders, and dollars before `{?`, as they are.

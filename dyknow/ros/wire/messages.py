@@ -33,7 +33,14 @@ from dyknow.model.streams import (
     StreamRequest,
     StreamStatus,
 )
-from dyknow.model.transformation import IN, OUT, Parameter, Port, Transformation
+from dyknow.model.transformation import (
+    IN,
+    OUT,
+    Parameter,
+    Port,
+    Transformation,
+    read_requirements,
+)
 
 T = TypeVar("T")
 
@@ -161,7 +168,10 @@ def transformation_message(transformation: Transformation) -> msg.Transformation
 def transformation_from(message: msg.Transformation) -> Transformation:
     ports = (_value(Port, each) for each in message.ports)
     parameters = parameters_from(message.parameters)
-    return _value(Transformation, message, parameters=parameters, ports=tuple(ports))
+    requires = read_requirements(message.specification)
+    return _value(
+        Transformation, message, parameters=parameters, ports=tuple(ports), requires=requires
+    )
 
 
 def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:

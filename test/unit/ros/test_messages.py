@@ -18,6 +18,8 @@ from dyknow_msgs import srv
 from dyknow_msgs.msg import Counts
 from dyknow_msgs.msg import Model as ModelMessage
 from dyknow_msgs.srv import GetModelResponse
+from hypothesis import given
+from specification_strategies import transformations
 from unit.proxy.bench import Bench
 
 from dyknow.errors import BadParameter, LoadFailed, Result, StreamRefused
@@ -200,6 +202,12 @@ def test_a_model_on_its_topic_in_the_answer_and_changed():
     changed = Model(8, 4, (replace(NODELET, is_protected=False),), (RELAY._replace(cost=0),))
     answer = sent(kept.response(changed), GetModelResponse).model
     assert messages.model_from(answer) == changed
+
+
+@given(transformations)
+def test_a_transformation_arrives_as_it_is(transformation):
+    arrived = sent(messages.transformation_message(transformation))
+    assert messages.transformation_from(arrived) == transformation
 
 
 # Texts of errors, with characters or lengths that no message can have
