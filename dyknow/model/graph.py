@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import enum
+import re
 from dataclasses import dataclass, field
 from typing import Dict, Mapping, Optional, Tuple
 
@@ -71,6 +72,7 @@ _TITLES = {
 STUCK = "a callback has been running for "
 #: How the part of a nodelet's detail begins that says why a restart would make it differently.
 OUTDATED = "outdated: "
+_OUTDATED = re.compile(rf"(?:\A|; ){OUTDATED}(its .*)\Z", re.DOTALL)
 #: How the part of ``dyknow_msgs/Nodelet.detail`` begins that names the owner of one that was not
 #: spawned.
 OWNER = "owner: "
@@ -153,7 +155,8 @@ class NodeletStatus:
     @property
     def outdated(self) -> str:
         """Why a restart would make it differently, in words; empty if it would not."""
-        return self.detail.partition(OUTDATED)[2]
+        found = _OUTDATED.search(self.detail)
+        return found[1] if found else ""
 
     @property
     def connections(self) -> Dict[str, str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
+import re
 from functools import lru_cache, partial
 from operator import attrgetter
 from typing import Any, Callable, Mapping, Sequence, TypeVar
@@ -49,6 +50,8 @@ _ABSENT = object()
 _OURS = "dyknow_msgs/"
 #: Prefix of the lines of an answer to ``acquire_stream`` that are warnings.
 _WARNING = "warning: "
+#: The end of a nodelet's detail that names its owner.
+_OWNER = re.compile(rf"(?:\A|; ){OWNER}(/\S+)\Z")
 #: Types of times, and the number of seconds that they cannot hold any more.
 _SECONDS = {"duration": (Duration, 2**31), "time": (Time, 2**32)}
 
@@ -181,12 +184,12 @@ def nodelet_message(nodelet: NodeletStatus) -> msg.Nodelet:
 
 
 def _nodelet_from(message: msg.Nodelet) -> NodeletStatus:
-    detail, _, owner = message.detail.partition(OWNER)
+    found = _OWNER.search(message.detail)
     return _value(
         NodeletStatus,
         message,
-        detail=detail[: -len("; ")] if owner else detail,
-        owner=owner,
+        detail=message.detail[: found.start()] if found else message.detail,
+        owner=found[1] if found else "",
         state=State(message.state),
         ports=tuple(map(port_from, message.ports)),
         parameters=parameters_from(message.parameters),

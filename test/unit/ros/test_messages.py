@@ -210,6 +210,26 @@ def test_a_transformation_arrives_as_it_is(transformation):
     assert messages.transformation_from(arrived) == transformation
 
 
+@pytest.mark.parametrize(
+    "detail",
+    [
+        "PermissionError: /dev/video0, owner: root",
+        "it has died; owner: nobody",
+        "RuntimeError: firmware outdated: 1.2, expected 1.3; no firmware",
+        "firmware outdated: its version is 1.2",
+    ],
+)
+def test_words_of_an_error_are_neither_an_owner_nor_a_cause(detail):
+    status = replace(NODELET, detail=detail, owner="")
+    for owned in (status, replace(status, owner="/m")):
+        (arrived,) = messages.model_from(
+            ModelMessage(nodelets=[sent(messages.nodelet_message(owned))])
+        ).nodelets
+        assert (arrived, arrived.outdated) == (owned, "")
+    outdated = replace(status, detail=f"{detail}; outdated: its code changed")
+    assert outdated.outdated == "its code changed"
+
+
 # Texts of errors, with characters or lengths that no message can have
 
 
