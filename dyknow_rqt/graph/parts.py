@@ -122,7 +122,7 @@ def _components(figure: Figure, depth: int, fineness: int) -> list[Figure]:
 def _reading(vertex: Vertex, depth: int) -> list[object]:
     """Sorts by boxes and names, numbers by their values."""
     text = " ".join((*vertex.group[depth:], vertex.name))
-    return [int(each) if each.isdigit() else each for each in re.split(r"(\d+)", text)]
+    return [int(each) if each.isdecimal() else each for each in re.split(r"(\d+)", text)]
 
 
 class Page:

@@ -308,6 +308,7 @@ def test_the_checker_of_models_knows_what_a_model_is() -> None:
 # Restrictions and properties
 
 SOME = "[ a owl:Restriction ; owl:onProperty {} ; {} ]"
+NO_NUMBER = 'owl:minCardinality "²"'
 VALUES = "owl:someValuesFrom {}"
 
 
@@ -329,6 +330,7 @@ VALUES = "owl:someValuesFrom {}"
             f" :C rdfs:subClassOf {SOME.format(':p', 'owl:allValuesFrom :A')} ."
             f" :D owl:equivalentClass {SOME.format(':p', 'owl:minCardinality 2')} ."
             f" :E rdfs:subClassOf {SOME.format(':p', 'owl:minCardinality 1')} ."
+            f" :G rdfs:subClassOf {SOME.format(':p', NO_NUMBER)} ."
             " :p rdfs:domain :F .",
             "D<F E<F",
         ),

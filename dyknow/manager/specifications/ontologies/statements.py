@@ -299,7 +299,7 @@ class OntologyStatements:
             read += [(_ANYTHING, False) for _ in graph.objects(node, OWL.hasValue)]
             for predicate in _COUNTS:
                 for count in map(str, graph.objects(node, predicate)):
-                    if count.isdigit() and int(count) > 0:
+                    if count.isdecimal() and int(count) > 0:
                         stated = (OWL.onClass, OWL.onDataRange)
                         fillers = [each for word in stated for each in graph.objects(node, word)]
                         is_exact = int(count) == 1 and predicate in _COUNTS[:2]
