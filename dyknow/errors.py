@@ -47,6 +47,15 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
+def described(error: BaseException) -> str:
+    """Return the type and the text of an error of anybody's code, which may fail to make one."""
+    name = type(error).__name__
+    try:
+        return f"{name}: {error}"
+    except Exception as failure:
+        return f"{name}, without a text: its __str__ raises {type(failure).__name__}"
+
+
 class DyKnowError(Exception):
     """Root of all exceptions that DyKnow raises on purpose."""
 
@@ -321,9 +330,7 @@ class LoadFailed(NodeletError):
 
     def __init__(self, name: str, type_name: str, cause: BaseException) -> None:
         self.cause = cause
-        super().__init__(
-            name, f"cannot load '{name}' of type {type_name}: {type(cause).__name__}: {cause}"
-        )
+        super().__init__(name, f"cannot load '{name}' of type {type_name}: {described(cause)}")
 
 
 class ScriptEnded(NodeletError):

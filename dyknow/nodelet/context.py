@@ -17,7 +17,7 @@ import traceback
 from typing import Any, Callable, Mapping, Sequence, TypeVar
 
 from dyknow import names
-from dyknow.errors import BadQueueSize, NoMessageClass
+from dyknow.errors import BadQueueSize, NoMessageClass, described
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.locks import state_lock
 from dyknow.nodelet.middleware import Closable, Codec, Middleware, Receive
@@ -192,7 +192,7 @@ class Context:
         callback that fails on every message must not fill the disk, whatever differs in the texts.
         """
         now = self.runtime.clock()
-        self.note_error(f"{what}: {type(error).__name__}: {error}", now)
+        self.note_error(f"{what}: {described(error)}", now)
         place = (what, type(error), _origin(error))
         since, unlogged = self._failures.get(place, (now - _LOG_PAUSE, 0))
         if now - since < _LOG_PAUSE:

@@ -15,7 +15,7 @@ import threading
 from typing import Any, Callable
 
 from dyknow import names
-from dyknow.errors import HandleClosed
+from dyknow.errors import HandleClosed, described
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.middleware import Closable
 from dyknow.nodelet.streams import pubsub
@@ -313,12 +313,12 @@ class Service(Closable):
         try:
             return self.handler(request), None
         except Exception as error:  # the boundary: raised again where the caller waits
-            text = f"service '{self.resolved_name}': {type(error).__name__}: {error}"
+            text = f"service '{self.resolved_name}': {described(error)}"
             context.note_error(text, context.runtime.clock())
             return None, error
         except BaseException as error:  # sys.exit(): must end neither this worker nor the caller
             context.failed(f"service '{self.resolved_name}'", error)
-            return None, RuntimeError(f"the handler raised {type(error).__name__}: {error}")
+            return None, RuntimeError(f"the handler raised {described(error)}")
         finally:
             context.spend(context.runtime.clock() - began)
 

@@ -25,7 +25,7 @@ from typing import Callable, Iterable, Iterator, Mapping
 
 from lxml import etree
 
-from dyknow.errors import BrokenPlugin, UnknownNodeletType
+from dyknow.errors import BrokenPlugin, UnknownNodeletType, described
 from dyknow.locks import state_lock
 from dyknow.nodelet.context import Context
 from dyknow.nodelet.handle import Nodelet
@@ -228,7 +228,7 @@ class ClassImports:
             module = self._module(module_name, str(declared.library.resolve()), context)
         except (Exception, SystemExit) as error:  # an import runs the author's code
             raise BrokenPlugin(
-                what, f"cannot import '{module_name}': {type(error).__name__}: {error}"
+                what, f"cannot import '{module_name}': {described(error)}"
             ) from error
         found = getattr(module, class_name, None)
         if found is None:

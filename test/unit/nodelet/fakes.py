@@ -46,6 +46,19 @@ class AnyMessage(Message):
     _md5sum = "*"
 
 
+class WithoutText(Exception):
+    """An error whose text cannot be made."""
+
+    def __str__(self) -> str:
+        return 5  # type: ignore[return-value]
+
+
+class ExitWithoutText(SystemExit):
+    """The same of ``sys.exit``."""
+
+    __str__ = WithoutText.__str__  # type: ignore[assignment]
+
+
 class FakeClock:
     """Steady time that a test sets."""
 

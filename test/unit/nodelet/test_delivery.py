@@ -8,7 +8,7 @@ from __future__ import annotations
 import collections
 
 import pytest
-from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, World
+from unit.nodelet.fakes import AnyMessage, FakeClock, Message, OtherMessage, WithoutText, World
 
 from dyknow.errors import HandleClosed, TypeMismatch
 
@@ -234,6 +234,14 @@ def test_errors_of_one_line_are_one_whatever_their_texts(caplog):
         "LookupError: no data at 0 ",
         "LookupError: elsewhere",
     ]
+
+
+def test_an_error_without_a_text_is_counted(caplog):
+    context = World(clock=FakeClock()).context("/n")
+    context.failed("'in'", WithoutText())
+    assert context.callback_errors == 1
+    assert context.recent_error().startswith("'in': WithoutText")
+    assert "WithoutText" in caplog.text
 
 
 @pytest.mark.parametrize("is_left", [True, False])

@@ -11,7 +11,7 @@ from unittest import mock
 
 import pytest
 from clocks import PATIENCE, eventually, in_thread, join, wait_for
-from unit.nodelet.fakes import Idle, Message, numbers, pool_world
+from unit.nodelet.fakes import Idle, Message, WithoutText, numbers, pool_world
 
 from dyknow.errors import (
     BrokenPlugin,
@@ -158,7 +158,9 @@ class TestFailure:
             assert loader.list() == []
         loader.load("/n", "pkg/X")
 
-    @pytest.mark.parametrize("error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt()])
+    @pytest.mark.parametrize(
+        "error", [ValueError("bad rate"), SystemExit(1), KeyboardInterrupt(), WithoutText()]
+    )
     def test_an_error_of_on_init_fails_the_load_and_leaves_nothing(self, world, error):
         kept: list[Any] = []
 

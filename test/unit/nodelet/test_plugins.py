@@ -215,6 +215,11 @@ def test_only_declared_classes_are_imported(packages):
         ("mod_syntax.X", "def (", "cannot import 'mod_syntax': SyntaxError"),
         ("mod_raises.X", "raise ValueError('boo')", "ValueError: boo"),
         ("mod_exits.X", "import sys; sys.exit(2)", "cannot import 'mod_exits': SystemExit"),
+        (
+            "mod_silent.X",
+            "raise type('Silent', (Exception,), {'__str__': lambda self: 5})",
+            "cannot import 'mod_silent': Silent",
+        ),
         ("mod_other.X", MODULE, "has no class 'X'"),
         ("mod_stranger.Stranger", MODULE, "does not derive from dyknow.Nodelet"),
         ("mod_number.number", MODULE, "does not derive from dyknow.Nodelet"),
