@@ -41,8 +41,8 @@ class Recording:
     """Messages of the last seconds, as references; safe from any thread.
 
     Beyond ``size`` bytes, as estimated, the oldest go. Of each publisher that latches the message
-    before them is kept, too, so that the state of its topic is known. A message of this process
-    does not tell whether its publisher does.
+    before them is kept, too, so that the state of its topic is known; these states take half of
+    the size at most. A message of this process does not tell whether its publisher latches.
     """
 
     def __init__(self, seconds: float, size: float) -> None:
@@ -53,30 +53,21 @@ class Recording:
         self._latched: set[str] = set()
         #: By topic and publisher, the latest last.
         self._before: dict[tuple[str, str], KeptMessage] = {}
-        self.size = 0  # bytes of all messages, as estimated
+        self.size = self._size_before = 0  # bytes of all messages, and of these, as estimated
 
     def add(self, topic: str, message: Any, now: float, is_state: bool = False) -> None:
         """Keep a message; ``is_state``: the topic is latched, by one publisher."""
         with self._lock:
             kept = self._kept
-            if kept and now < kept[-1].received - _SET_BACK:  # simulated time
-                kept.clear()
-                self._before.clear()
-                self.size = 0
+            while kept and now < kept[-1].received - _SET_BACK:  # simulated time
+                self._drop_oldest()
             new = KeptMessage(topic, message, now, memory_of(message) + OVERHEAD)
             kept.append(new)
             self.size += new.size
             if is_state:
                 self._latched.add(topic)
-            while kept[0].received < now - self._seconds or self.size > self._most:
-                gone = kept.popleft()
-                self.size -= gone.size
-                publisher = "?" if gone.topic in self._latched else latching(gone.message)
-                if publisher:
-                    self._before.pop((gone.topic, publisher), None)
-                    self._before[gone.topic, publisher] = gone
-                if not kept:
-                    return
+            while kept and (kept[0].received < now - self._seconds or self.size > self._most):
+                self._drop_oldest()
 
     def taken(self) -> list[KeptMessage]:
         """Return the messages in the order of their receipt."""
@@ -86,6 +77,25 @@ class Recording:
             begin = self._kept[0].received
             states = [each._replace(received=begin) for each in self._before.values()]
             return [*states, *self._kept]
+
+    def _drop_oldest(self) -> None:
+        """Drop the oldest message, unless it is a state; the lock is held."""
+        gone = self._kept.popleft()
+        self.size -= gone.size
+        publisher = "?" if gone.topic in self._latched else latching(gone.message)
+        if publisher:
+            self._forget((gone.topic, publisher))
+            self._before[gone.topic, publisher] = gone
+            self.size += gone.size
+            self._size_before += gone.size
+            while self._size_before > self._most / 2:
+                self._forget(next(iter(self._before)))
+
+    def _forget(self, state: tuple[str, str]) -> None:
+        forgotten = self._before.pop(state, None)
+        if forgotten is not None:
+            self.size -= forgotten.size
+            self._size_before -= forgotten.size
 
 
 def memory_of(value: Any) -> int:
