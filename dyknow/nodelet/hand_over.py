@@ -308,7 +308,8 @@ class HandOvers(Closable):
             raise CannotMove(name, _NOT_KEPT)
         for link, each in zip(move.links, _inputs(topics)):
             unpack = functools.partial(self._runtime.transport.unpack, link.subscription.datatype)
-            if not link.leave_out(each.given, list(_successes(link, unpack, each.waiting))):
+            waiting = list(_successes(link, unpack, each.waiting))
+            if not link.leave_out(each.given, waiting, self._runtime.bus.latched(link.topic)):
                 raise CannotMove(name, _NOT_KEPT)
         move.expiry = time.monotonic() + _LOAD_EXPIRY
 

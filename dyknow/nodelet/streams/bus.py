@@ -122,6 +122,13 @@ class Bus:
             publishers = {each.owner for each in present.publications}
             return sorted(publishers), sorted({each.subscription.owner for each in present.route})
 
+    def latched(self, topic: str) -> list[Any]:
+        """Return the messages that publications of this process latch on a topic now."""
+        with self._lock:
+            present = self._topics.get(topic, _Topic(None))
+            messages = [each.latched for each in present.publications]
+        return [each for each in messages if each is not NOTHING]
+
     def fence(self, fences: Mapping[str, Fence]) -> None:
         """Set the fences that messages have to pass, by topic; other topics are open to all."""
         with self._lock:

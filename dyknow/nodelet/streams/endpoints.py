@@ -168,6 +168,10 @@ class Connection:
         elif self._arrived is not None:
             self._arrived.set()
 
+    def push_latched(self, message: Any) -> None:
+        """Take the message that a publication latched before the two were connected."""
+        self.push_locked(message)
+
     def __call__(self) -> None:
         """Deliver the oldest message, if there is one; the strand has just noted the time."""
         try:  # without the lock: a push keeps queued messages == queued tasks
@@ -562,7 +566,7 @@ class Publication:
                 connection.subscription.convert(self._converter)
         if self.latched is not NOTHING and newcomers and not self._is_fenced():
             for connection in newcomers:
-                connection.push_locked(self.latched)
+                connection.push_latched(self.latched)
 
 
 def _ignore(message: Any) -> None:

@@ -28,7 +28,9 @@ class ParkedConnection(Connection):
     a message is known in both processes.
     """
 
-    __slots__ = ("_began", "_digest", "_due", "_is_adopted", "_is_cleared", "_made", "_until")
+    __slots__ = tuple(
+        "_began _digest _due _is_adopted _is_cleared _latched_here _made _until".split()
+    )
 
     def __init__(
         self, subscription: Subscription, topic: str, digest: Callable[[Any], bytes]
@@ -37,6 +39,7 @@ class ParkedConnection(Connection):
         self._digest = digest
         self._made = self._strand.clock()
         self._began = 0.0  # when its first message came; 0 before
+        self._latched_here: list[Any] = []  # messages that publications here had latched before
         #: How often each message is yet to be left out, until a moment.
         self._due: Counter[bytes] = collections.Counter()
         self._until = 0.0
@@ -59,6 +62,7 @@ class ParkedConnection(Connection):
             self.subscription, self._strand = subscription, subscription.strand
             if own.converter is not None:
                 subscription.convert(own.converter)
+            self._latched_here.clear()
             self._is_adopted = True
         return True
 
@@ -72,6 +76,11 @@ class ParkedConnection(Connection):
             self._began = self._strand.clock()
         super().push_locked(message)
 
+    def push_latched(self, message: Any) -> None:
+        if not self._is_adopted:
+            self._latched_here.append(message)
+        super().push_latched(message)
+
     def latest(self) -> list[tuple[float, bytes]]:
         """Return the last message of each publisher: its digest, with the present time.
 
@@ -80,26 +89,34 @@ class ParkedConnection(Connection):
         """
         with message_lock:
             held, now = list(self._queue), self._strand.clock()
+            latched_here = set(map(id, self._latched_here))
         first: dict[str, Any] = {}
         last: dict[str, Any] = {}
         for message in held:
+            if id(message) in latched_here:
+                continue
             publisher = str(_header(message).get("callerid", ""))
             if first.setdefault(publisher, message) is not message or not latching(message):
                 last[publisher] = message
         digests = map(self._digest_of, last.values())
         return [(now, digest) for digest in digests if digest is not None]
 
-    def leave_out(self, given: Sequence[tuple[float, bytes]], waiting: Sequence[Any] = ()) -> bool:
+    def leave_out(
+        self,
+        given: Sequence[tuple[float, bytes]],
+        waiting: Sequence[Any] = (),
+        latched: Sequence[Any] = (),
+    ) -> bool:
         """Drop the messages that the nodelet received in the other process, but for waiting ones.
 
         Messages that came there before this was made do not come here, so they do not count: equal
         ones may follow. Where messages are equal byte for byte, those that came before the first
         one here do not count either. Of each latching publisher the last message stays: the new
-        instance needs it.
+        instance needs it. The one that it had latched before, if any, is outdated then.
 
         ``given`` are digests with their times of arrival, by the same clock as here; messages that
-        are ``waiting`` come before all others. Returns False, and changes nothing, if the nodelet
-        has the connection already.
+        are ``waiting`` come before all others; ``latched`` are those of publications here. Returns
+        False, and changes nothing, if the nodelet has the connection already.
         """
         often = collections.Counter(digest for _, digest in given)
         with message_lock:
@@ -115,11 +132,18 @@ class ParkedConnection(Connection):
             )
             held = list(self._queue)
             self._queue.clear()
-        latched = {latching(each): each for each in held if latching(each)}
+        from_outside = [each for each in held if latching(each)]
+        latest = [*{latching(each): each for each in from_outside}.values(), *latched]
+        first = {latching(each): each for each in reversed(from_outside)}.values()
+        old = {*map(id, first), *map(id, self._latched_here)} - set(map(id, latest))
         there = set(map(self._digest_of, waiting)) - {None}
-        again = {id(each) for each in latched.values() if self._digest_of(each) in there}
-        last = set(map(id, latched.values())) - again
-        fresh = [each for each in held if not self._is_due(each) or id(each) in last]
+        again = {id(each) for each in latest if self._digest_of(each) in there}
+        last = set(map(id, latest)) - again
+        fresh = [
+            each
+            for each in held
+            if not (self._is_due(each) or id(each) in old) or id(each) in last
+        ]
         kept = [each for each in fresh if id(each) not in again]
         with message_lock:  # before the latest messages
             self._queue.extendleft(reversed([*waiting, *kept]))

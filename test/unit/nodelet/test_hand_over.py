@@ -328,6 +328,43 @@ def test_the_last_message_of_each_latching_publisher_comes_again(waits, expected
     assert received == expected
 
 
+@pytest.mark.parametrize("waits", [True, False])
+@pytest.mark.parametrize("is_here", [True, False])
+def test_a_message_that_was_latched_before_the_move_is_not_awaited_and_outdated(is_here, waits):
+    clock, received = FakeClock(), []
+    with places(clock, received) as (old, new):
+        publisher = new.world.publisher("/t", latch=True)
+
+        def publish(number):
+            if is_here:
+                publisher.publish(Message(number))
+            else:
+                new.send(number, kind=Latched)
+
+        if is_here:
+            publish(1)
+        else:
+            new.world.transport.on_made = lambda made: made.topic == "/t" and setattr(
+                made, "hear", lambda *args: publish(1)
+            )
+        parked = new.moves.park(NAME, old.moves.note(NAME))
+        assert [each.given for each in parked] == [(), ()]
+        clock.seconds += 0.1
+        opened = threading.Event()
+        if waits:
+            old.loader.find(NAME).strand.post(opened.wait)
+        publish(2)
+        old.send(2)
+        if not waits:
+            old.world.drain()
+        context, stop = old.loader.find(NAME), old.loader.find(NAME).stop
+        context.stop = lambda: (stop(), opened.set())
+        given = old.moves.give(NAME, parked)
+        del received[:]
+        finish(new, given)
+        assert received == [2]
+
+
 def test_a_publisher_has_its_latch_and_headers_from_the_first_connection_on(monkeypatch):
     with places(FakeClock(), []) as (old, new):
         options = {"headers": {"made": "here"}, "tcp_nodelay": True}
