@@ -153,9 +153,13 @@ class Formula:
             BadParameter: a parameter is out of its range.
             FormulaError: bounds do not fit the period, or a quantifier that looks ahead `exact`.
         """
-        for name, value in (("period", period), ("delay", delay), ("hold", hold or 0.0)):
-            if not 0 <= value < 2**31 or (name == "period" and value < 1e-6):
-                raise BadParameter(name, value, f"seconds below {2**31}")
+        for name, value, least in (
+            ("period", period, 1e-6),
+            ("delay", delay, 0.0),
+            ("hold", hold or 0.0, 0.0),
+        ):
+            if not least <= value < 2**31:
+                raise BadParameter(name, value, f"seconds from {least:g} to below {2**31}")
         settings = StateSettings(
             max(1, round(period * tree.SECOND)),
             None if hold is None else round(hold * tree.SECOND),

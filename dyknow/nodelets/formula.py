@@ -16,7 +16,7 @@ from dyknow.formulas import Verdict, parse
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.formulas.individuals import IndividualStreams, tags_of_individuals, take_waiting
 from dyknow.ros.formulas.message_types import check, usual_delay
-from dyknow.ros.parameters import get_datatype
+from dyknow.ros.parameters import PrivateParameters, get_datatype
 
 
 class FormulaNodelet(dyknow.Nodelet):
@@ -42,23 +42,25 @@ class FormulaNodelet(dyknow.Nodelet):
 
     def on_init(self) -> None:
         self.nh = dyknow.NodeHandle(self.node_handle)
-        formula = parse(self.nh.get_param("~formula"))
+        given = PrivateParameters(self.nh.get_param("~", {}))
+        seconds = partial(given.number, expected="seconds", fits=lambda value: True)
+        formula = parse(given.string("formula"))
         types = {
             port: get_datatype(self.nh, f"~datatypes/{port}", "std_msgs/Bool")
             for port in formula.ports
         }
         datatypes = {port: kind._type for port, kind in types.items()}
         self.monitor = formula.monitor(
-            self.nh.get_param("~period", 0.1),
-            self.nh.get_param("~hold", 0.0) or None,
-            self.nh.get_param("~delay", usual_delay(datatypes.values())),
-            self.nh.get_param("~exact", False),
-            self.nh.get_param("~max_nodes", 1000),
+            seconds("period", 0.1),
+            seconds("hold", 0.0) or None,
+            seconds("delay", usual_delay(datatypes.values())),
+            given.flag("exact"),
+            given.integer("max_nodes", 1000),
         )
         check(formula, datatypes)
-        tags = tags_of_individuals(formula, self.nh.get_param("~individuals", {}))
+        tags = tags_of_individuals(formula, given.texts("individuals", "tags by port"))
         self.pub = self.nh.Publisher(
-            self.nh.get_param("~out", "holds"), VerdictMessage, latch=True, queue_size=100
+            given.string("out", "holds"), VerdictMessage, latch=True, queue_size=100
         )
         for port in formula.ports:
             if port not in tags:
@@ -69,7 +71,7 @@ class FormulaNodelet(dyknow.Nodelet):
         self.waiting: dict[tuple[str, str], Any] = {}
         self.late = 0
         if tags:
-            client = ManagerClient(self.nh.get_param("~manager", "dyknow_manager"), self.name)
+            client = ManagerClient(given.string("manager", "dyknow_manager"), self.name)
             self.individuals = IndividualStreams(client, tags, types, self.subscribe, self.name)
         self.timer = self.nh.Timer(self.nh.Duration(self.wait()), self.on_timer, oneshot=True)
 

@@ -75,6 +75,14 @@ class PrivateParameters:
         value = self.read(name, [], "a list of texts", fits)
         return tuple(value.split() if isinstance(value, str) else value)
 
+    def texts(self, name: str, expected: str) -> dict[str, str]:
+        """Read a map of texts."""
+
+        def fits(value: Any) -> bool:
+            return isinstance(value, dict) and all(isinstance(e, str) for e in value.values())
+
+        return dict(self.read(name, {}, expected, fits))
+
     def one_of(self, name: str, *values: str) -> str:
         """Read one of some texts, of which the first is the default."""
         expected = " or ".join(f"'{value}'" for value in values)

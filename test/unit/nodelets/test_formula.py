@@ -13,6 +13,7 @@ from genpy import Time
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Bool, Header
 
+from dyknow.errors import LoadFailed
 from dyknow.formulas import parse
 from dyknow.nodelets.formula import FormulaNodelet
 
@@ -85,6 +86,26 @@ def test_a_formula_over_verdicts_sees_those_that_the_delay_decides(nodelet_harne
     assert verdicts[-1].value == 0
     nodelet_harness.advance(2.0)
     assert verdicts[-1].value == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({}, "expected a formula"),
+        ({"formula": 5}, "'~formula' is 5: expected a text"),
+        ({"period": "abc"}, "'~period' is 'abc': expected seconds"),
+        ({"period": 0}, "expected seconds from 1e-06 to below"),
+        ({"hold": -1}, "expected seconds from 0 to below"),
+        ({"exact": "false"}, "'~exact' is 'false': expected true or false"),
+        ({"max_nodes": "x"}, "'~max_nodes' is 'x': expected an integer"),
+        ({"individuals": ["a"]}, "'~individuals' is ['a']: expected tags by port"),
+    ],
+)
+def test_parameters_are_checked(nodelet_harness, parameters, problem):
+    given = {"formula": "f", **parameters} if parameters else {}
+    with pytest.raises(LoadFailed) as caught:
+        nodelet_harness.load(FormulaNodelet, "/a", parameters=given)
+    assert problem in str(caught.value)
 
 
 def test_messages_wait_until_ros_time_begins(nodelet):
