@@ -205,7 +205,7 @@ class Monitor:
 
     __slots__ = (
         *("late", "_formula", "_settings", "_tree", "_verdicts", "_checked", "_individuals"),
-        *("_now", "_states", "_next", "_run"),
+        *("_now", "_states", "_earliest", "_next", "_run"),
     )
 
     def __init__(self, formula: Formula, settings: StateSettings) -> None:
@@ -221,6 +221,7 @@ class Monitor:
     def _begin(self) -> None:
         self._now = -1
         self._states = States(self._tree, self._settings, 0)
+        self._earliest = 0  # state
         self._next: Optional[int] = None  # the state that closes next
         self._run: Optional[Verdict] = None
 
@@ -324,11 +325,22 @@ class Monitor:
         self._begin()
         return found
 
+    def forget(self, ports: Iterable[str]) -> None:
+        """Begin a new sequence of states, without what came to some ports outside quantifiers.
+
+        It begins with the next message, behind the states that are closed; verdicts that are open
+        are dropped.
+        """
+        for port in ports:
+            self._states.own[port].forget()
+        if self._next is not None:
+            self._earliest, self._next, self._run = self._next, None, None
+
     # Inside
 
     def _start(self, state: int) -> None:
-        self._states = States(self._tree, self._settings, state)
-        self._next = state
+        self._next = max(state, self._earliest)
+        self._states.begin(self._next)
         self._set_individuals(state)
 
     def _set_individuals(self, state: int) -> None:

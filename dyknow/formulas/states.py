@@ -47,12 +47,18 @@ class PortValues:
 
     def __init__(self, windows: Iterable[int] = ()) -> None:
         """Prepare a port; ``windows`` are the states over which its messages are counted."""
+        longest = max(windows, default=0)
+        self._counts: Optional[Deque[int]] = deque(maxlen=longest) if longest else None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin without a message."""
         self.message: Any = None  # the last one that a closed state has seen, and its stamp
         self.stamp: Optional[int] = None
         self.latest = -1  # greatest stamp of all messages
         self._coming: List[Tuple[int, int, Any, int]] = []  # state, stamp, message, count
-        longest = max(windows, default=0)
-        self._counts: Optional[Deque[int]] = deque(maxlen=longest) if longest else None
+        if self._counts is not None:
+            self._counts.clear()
 
     def add(self, state: int, stamp: int, message: Any, far: int) -> None:
         """Keep a message for a state; of several with one stamp the last one counts.
@@ -77,8 +83,9 @@ class PortValues:
     def close(self, state: int) -> None:
         """Take the messages that the state is the first to see."""
         count = 0
-        if self._coming and self._coming[0][0] == state:
-            _, self.stamp, self.message, count = self._coming.pop(0)
+        while self._coming and self._coming[0][0] <= state:
+            _, self.stamp, self.message, more = self._coming.pop(0)
+            count += more
         if self._counts is not None:
             self._counts.append(count)
 
@@ -97,7 +104,7 @@ class States:
 
     __slots__ = (
         *("name", "first", "own", "ports", "quantifiers", "evaluator", "log"),
-        *("_settings", "_state", "_decided", "_is_over"),
+        *("_formula", "_settings", "_state", "_decided", "_is_over"),
     )
 
     def __init__(
@@ -113,7 +120,7 @@ class States:
         ``shared`` are ports that another one closes: those outside the quantifier.
         """
         self.name = name
-        self.first = first
+        self._formula = formula
         self._settings = settings
         period = settings.period
         self.own = {
@@ -133,15 +140,25 @@ class States:
         self.quantifiers: Mapping[tree.Quantified, Individuals] = _NONE
         if quantified:
             self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}
+        self._is_over = False
+        self.begin(first)
+
+    def begin(self, first: int) -> None:
+        """Start the sequence at a state, with the messages that the ports have."""
+        formula, settings = self._formula, self._settings
+        self.first = first
         self.evaluator: Evaluator | ExactEvaluator
         if settings.is_exact:
-            self.evaluator = ExactEvaluator(formula, period, self._note, settings.max_nodes)
+            self.evaluator = ExactEvaluator(
+                formula, settings.period, self._note, settings.max_nodes
+            )
         else:
-            self.evaluator = Evaluator(formula, period, self._note)
-        self.log = Log(formula, period, self.evaluator.atoms, self._named)
+            self.evaluator = Evaluator(formula, settings.period, self._note)
+        self.log = Log(formula, settings.period, self.evaluator.atoms, self._named)
         self._state = first - 1
         self._decided = first
-        self._is_over = False
+        for individuals in self.quantifiers.values():
+            individuals.begin(first)
 
     def close(self, state: int) -> List[Tuple[int, int]]:
         """Close the next state; returns the states that are decided now, with their truths."""
@@ -255,6 +272,13 @@ class Individuals:
         self._leaving: Dict[str, int] = {}  # first states without them
         self._open: Deque[Dict[States, Optional[int]]] = deque()
         self._next: Optional[int] = None
+
+    def begin(self, first: int) -> None:
+        """Start the sequences of all individuals at a state."""
+        self._open.clear()
+        self._next = None
+        for each in self.present.values():
+            each.begin(first)
 
     def set(self, names: Iterable[str], first: int) -> None:
         """Have exactly these individuals from a state on."""

@@ -59,13 +59,17 @@ class FormulaNodelet(dyknow.Nodelet):
         )
         check(formula, datatypes)
         tags = tags_of_individuals(formula, given.texts("individuals", "tags by port"))
-        self.pub = self.nh.Publisher(
-            given.string("out", "holds"), VerdictMessage, latch=True, queue_size=100
-        )
-        for port in formula.ports:
-            if port not in tags:
-                callback = partial(self.on_message, port, "")
-                self.nh.Subscriber(port, types[port], callback, queue_size=100)
+        self.out = given.string("out", "holds")
+        self.pub = self.publisher()
+        self.nh.set_reconfigure_callback(self.on_reconfigure)
+        #: The topics of the in-ports.
+        self.inputs = {
+            port: self.nh.Subscriber(
+                port, types[port], partial(self.on_message, port, ""), queue_size=100
+            ).name
+            for port in formula.ports
+            if port not in tags
+        }
         self.individuals: IndividualStreams | None = None
         #: The last message of each port, of an individual, that the monitor has not received.
         self.waiting: dict[tuple[str, str], Any] = {}
@@ -85,6 +89,25 @@ class FormulaNodelet(dyknow.Nodelet):
         self.waiting.pop((port, individual), None)  # of its last stream
         callback = partial(self.on_message, port, individual)
         return self.node_handle.Subscriber(topic, message_class, callback, queue_size=100)
+
+    def publisher(self) -> Any:
+        """Return a publisher of verdicts without a latched one."""
+        return self.nh.Publisher(self.out, VerdictMessage, latch=True, queue_size=100)
+
+    def on_reconfigure(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
+        """Forget what came to ports that are disconnected.
+
+        The manager disconnects a port before it connects the stream of another individual. It
+        connects another supplier of the same one directly: then the history goes on.
+        """
+        left = [port for port, topic in self.inputs.items() if topic and not inputs[port]]
+        self.inputs = inputs
+        if left:
+            for port in left:
+                self.waiting.pop((port, ""), None)
+            self.monitor.forget(left)
+            self.pub.unregister()
+            self.pub = self.publisher()
 
     def on_message(self, port: str, individual: str, message: Any) -> None:
         """Publish the verdicts that the message decides."""

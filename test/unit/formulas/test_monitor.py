@@ -494,6 +494,55 @@ def test_an_individual_begins_with_its_last_message_before() -> None:
     assert len(left) == 8 and {each.value for each in left} == {Truth.TRUE}
 
 
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "historically[0, 60] (a and b)",
+        "(once[0, 60] not a) or not b or rate(a, 1 s) > 2",
+        "present(a) and b and every ?c (historically[0, 60] (a and image))",
+        "b and present(a) and every ?c (historically b or image)",
+    ],
+)
+def test_a_monitor_that_forgets_a_port_goes_on_as_a_new_one(formula: str, exact: bool) -> None:
+    old, new = (parse(formula).monitor(0.5, delay=1.0, exact=exact) for _ in range(2))
+    ports = [port for port in ("b", "image") if port in parse(formula).ports]
+
+    def feed(monitor: Any, port: str, value: bool, now: float) -> List[Verdict]:
+        return monitor.feed(port, value, now, "left" if port == "image" else "")
+
+    before = old.individuals("?c", ["left"], 1.0)
+    for now in (1.0, 2.0, 3.0):
+        for port in ("a", "image", "b"):
+            if port in parse(formula).ports:
+                before += feed(old, port, now == 3.0, now)
+    old.forget(["a"])
+    # The other ports have the values that they had.
+    found = old.individuals("?c", ["left"], 9.0) + feed(old, "b", True, 9.0)
+    expected = new.individuals("?c", ["left"], 9.0)
+    for port in reversed(ports):
+        expected += feed(new, port, True, 9.0)
+    for now in (10.0, 10.6, 11.1, 14.0):
+        value = now != 11.1
+        found += feed(old, "a", value, now)
+        expected += feed(new, "a", value, now)
+    found, expected = found + old.advance(16.0), expected + new.advance(16.0)
+    assert [(each.stamp, each.value) for each in found] == [
+        (each.stamp, each.value) for each in expected
+    ]
+    assert len({each.value for each in found}) > 1
+
+
+def test_a_monitor_that_forgets_publishes_no_verdict_about_an_earlier_state() -> None:
+    monitor = parse("a.x > 0").monitor(0.1, delay=1.0)
+    verdicts = monitor.feed("a", message(1.0, x=1), 1.0) + monitor.feed("a", message(1.95, x=1), 2)
+    monitor.forget(["a"])
+    verdicts += monitor.feed("a", message(1.5, x=0), 2.0) + monitor.advance(4.0)
+    stamps = [each.stamp for each in verdicts]
+    assert stamps == sorted(set(stamps))
+    assert verdicts[-1].value is Truth.FALSE and monitor.late == 0
+
+
 @pytest.mark.parametrize(
     ("formula", "hold", "why"),
     [

@@ -89,6 +89,36 @@ def test_a_formula_over_verdicts_sees_those_that_the_delay_decides(nodelet_harne
 
 
 @pytest.mark.parametrize(
+    ("topics", "verdicts"),
+    [
+        (["/other"], {0}),  # a repair: the same individual
+        (["", "/other"], set()),  # another one, which is silent
+        (["/f", "", "/f"], set()),
+    ],
+)
+def test_a_port_that_is_disconnected_forgets_its_messages(nodelet_harness, topics, verdicts):
+    given = {"formula": "historically[0 s, 60 s] f and g"}
+    wiring = {"f": "/f", "g": "/g", "holds": "/holds"}
+    nodelet = nodelet_harness.load(FormulaNodelet, "/a", wiring, given)
+    before = nodelet_harness.listen("/holds")
+    nodelet_harness.publish("/g", Bool(True))  # the only one: a map, say
+    for value in (True, False, True):
+        nodelet_harness.publish("/f", Bool(value))
+        nodelet_harness.advance(1.0)
+    for topic in topics:
+        nodelet_harness.connect(nodelet, {"f": topic})
+        nodelet_harness.drain()
+    after = nodelet_harness.listen("/holds")
+    nodelet_harness.advance(1.0)
+    assert {each.value for each in after} == verdicts
+    nodelet_harness.publish(topics[-1], Bool(True))
+    nodelet_harness.advance(1.0)
+    assert after[-1].value == (0 if verdicts else 1)
+    stamps = [each.header.stamp for each in before]
+    assert stamps == sorted(set(stamps))
+
+
+@pytest.mark.parametrize(
     ("parameters", "problem"),
     [
         ({}, "expected a formula"),
