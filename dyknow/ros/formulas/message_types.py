@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from typing import Any, Collection, Mapping
 
-from dyknow_msgs.msg import Verdict
-
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Formula, MessageType
 from dyknow.formulas.types import type_of
+from dyknow.model.transformation import VERDICT
 from dyknow.ros.wire.message_classes import message_class
 
 
@@ -20,7 +19,7 @@ def usual_delay(datatypes: Collection[str]) -> float:
 
     A verdict comes after its state by the delay of the formula that it is of.
     """
-    return 0.5 if Verdict._type in datatypes else 0.1
+    return 0.5 if VERDICT in datatypes else 0.1
 
 
 def message_type(datatype: str) -> MessageType | None:
