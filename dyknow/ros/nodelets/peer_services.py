@@ -22,7 +22,6 @@ from io import BytesIO
 from typing import Any, Callable, Iterable
 
 import psutil
-import rosgraph.network
 import rospy
 from dyknow_msgs import msg
 from dyknow_msgs.srv import HandOver, HandOverRequest, HandOverResponse, Poll, PollResponse
@@ -43,7 +42,7 @@ from dyknow.periodic import PeriodicWorker
 from dyknow.proxy.proxy import NodeletProxy
 from dyknow.ros.nodelets.announcements import Announcer
 from dyknow.ros.nodelets.process_guards import ProcessGuards, caller_of
-from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.addresses import connect, host_and_port
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.message_classes import message_class
 from dyknow.ros.wire.messages import counts_message, direction_from, direction_message
@@ -230,7 +229,7 @@ def probe(uri: str) -> Sight:
     A connection is made by the kernel, so that of a process that was stopped is made too.
     """
     try:
-        host, port = rosgraph.network.parse_http_host_and_port(uri)
+        host, port = host_and_port(uri)
         with contextlib.closing(connect(host, port, PATIENCE)) as connection:
             return _query(connection, host)
     except socket.timeout:
@@ -239,7 +238,7 @@ def probe(uri: str) -> Sight:
         return Sight.GONE
     except ConnectionError:
         return Sight.STOPPED
-    except (OSError, ValueError):
+    except OSError:
         return Sight.SILENT
 
 

@@ -16,7 +16,6 @@ import time
 from concurrent.futures import Future, wait
 from functools import partial
 from typing import Callable, TypeVar
-from urllib.parse import urlsplit
 
 import rosgraph.network
 
@@ -137,9 +136,8 @@ def connect(host: str, port: int, timeout: float) -> socket.socket:
 
 def refuses(uri: str, timeout: float) -> bool:
     """Whether the host in a node's address answers that no process listens there: it has ended."""
-    host, port = rosgraph.network.parse_http_host_and_port(uri)
     try:
-        connect(host, port, timeout).close()
+        connect(*host_and_port(uri), timeout).close()
     except ConnectionRefusedError:
         return True
     except OSError:
@@ -147,9 +145,22 @@ def refuses(uri: str, timeout: float) -> bool:
     return False
 
 
+def host_and_port(uri: str) -> tuple[str, int]:
+    """Split the address of a node or of a service.
+
+    Raises ``OSError``, as where nothing answers, if it is none: nodes register whatever their
+    ``ROS_IP`` makes of it.
+    """
+    try:
+        host, port = rosgraph.network.parse_http_host_and_port(uri)
+    except ValueError as error:
+        raise OSError(f"'{uri}' is no address of a process") from error
+    return host, port
+
+
 def host_of(uri: str) -> str:
     """Return the host in the address of a node or of a service, as it is written there."""
-    return urlsplit(uri).netloc.rpartition(":")[0]
+    return uri.partition("://")[2].partition("/")[0].rpartition(":")[0]
 
 
 def is_here(host: str, timeout: float) -> bool:

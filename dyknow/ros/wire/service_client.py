@@ -25,7 +25,7 @@ import rosgraph.network
 
 from dyknow.errors import HostError, NotUtf8, PeerTimeout
 from dyknow.locks import assert_no_state_lock, state_lock, turn_lock
-from dyknow.ros.wire.addresses import connect
+from dyknow.ros.wire.addresses import connect, host_and_port
 from dyknow.ros.wire.master import Master
 
 #: Seconds in which a connection has to be there.
@@ -127,10 +127,9 @@ class TcprosConnection:
 
 def is_offered(service: str, address: str, caller: str, timeout: float) -> bool:
     """Whether the process at an address offers a service; one that is late may do so."""
-    host, port = rosgraph.network.parse_http_host_and_port(address.replace("rosrpc:", "http:"))
     fields = {"probe": "1", "service": service, "md5sum": "*", "callerid": caller}
     try:
-        connection = TcprosConnection(host, port, timeout)
+        connection = TcprosConnection(*host_and_port(address), timeout)
         connection.shake_hands(service, fields, time.monotonic() + timeout)
     except socket.timeout:
         return True
@@ -296,8 +295,7 @@ class ServiceClient:
 
     def _connect(self, deadline: float) -> TcprosConnection:
         self.address = self._find(deadline)
-        uri = self.address.replace("rosrpc://", "http://")
-        host, port = rosgraph.network.parse_http_host_and_port(uri)
+        host, port = host_and_port(self.address)
         seconds = max(_LEAST_WAIT, min(deadline - time.monotonic(), CONNECT_TIMEOUT))
         header = {
             "service": self.name,

@@ -16,12 +16,16 @@ from typing import Any, Tuple
 import pytest
 import rosgraph.network
 from clocks import PATIENCE, HandClock, patch_here
+from dyknow_msgs.srv import Poll
 from std_msgs.msg import String, UInt32
 from unit.ros.small_graph import SmallManager, small_graph
 
+from dyknow.nodelet.leases import Sight
+from dyknow.ros.nodelets.peer_services import probe
 from dyknow.ros.wire import topic_reader as module
-from dyknow.ros.wire.addresses import FRESH, Addresses, connect, refuses
+from dyknow.ros.wire.addresses import FRESH, Addresses, connect, host_of, refuses
 from dyknow.ros.wire.master import Master
+from dyknow.ros.wire.service_client import ServiceClient, ServiceLost, is_offered
 from dyknow.ros.wire.topic_reader import TopicFollower, TopicReader
 
 # Looking up a host's name never takes longer than its time limit
@@ -109,6 +113,20 @@ def test_an_address_refuses_once_nothing_listens_there():
         server.listen()
         assert not refuses(uri, PATIENCE)
     assert refuses(uri, PATIENCE)
+
+
+@pytest.mark.parametrize(
+    "address", ["", "http://[::1", "http://192.0.2.1:11311:45123/", "rosrpc://robot:99999"]
+)
+def test_nobody_answers_at_an_address_that_is_none(monkeypatch, address):
+    """Nodes whose ROS_IP or ROS_HOSTNAME is wrong register one."""
+    assert "/" not in host_of(address)
+    assert not refuses(address, PATIENCE)
+    assert not is_offered("/ask", address, "/test", PATIENCE)
+    assert probe(address) is Sight.SILENT
+    monkeypatch.setattr(Master, "ask", lambda master, *question: address)
+    with pytest.raises(ServiceLost, match="/ask is gone: '.*' is no address"):
+        ServiceClient(Master("/test"), "/ask", Poll).call(PATIENCE)
 
 
 @pytest.mark.parametrize(

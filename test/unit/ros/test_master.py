@@ -286,6 +286,18 @@ def test_a_node_that_does_not_answer_gets_back_what_it_had(
     assert graph.core.state() == before
 
 
+def test_a_node_with_a_wrong_address_keeps_no_other_from_a_new_master(graph, keeper):
+    """Its ROS_IP is an address with a port."""
+    graph.node("/node").publish("/words")
+    uri, address = "http://192.0.2.1:11311:45123/", "rosrpc://192.0.2.1:11311:41234"
+    wrong = Master("/wrong", graph.core.uri)
+    wrong.ask("registerService", "/wrong/ask", address, uri)
+    keeper.look()
+    graph.core.renew()
+    keeper.look()
+    assert graph.core.state()[0] == {"/rosout": [ME], "/words": ["/node"]}
+
+
 def test_what_the_new_master_has_is_newer(graph, keeper):
     elder, server = graph.node("/node"), SmallManager()
     elder.publish("/words")
