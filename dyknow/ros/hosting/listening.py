@@ -63,8 +63,9 @@ class TopicCounter(Listening):
 
     def _register(self) -> None:
         if not self._closed:
+            # With a queue_size, rospy drops all but the last messages that have come together.
             self._subscriber = rospy.Subscriber(
-                self._topic, rospy.AnyMsg, self._add_one, queue_size=1
+                self._topic, rospy.AnyMsg, self._add_one, tcp_nodelay=True
             )
 
     def _unregister(self) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from dataclasses import replace
@@ -19,13 +20,14 @@ from clocks import eventually, in_thread, join, wait_for
 from diagnostic_msgs.msg import DiagnosticStatus
 from dyknow_msgs import srv
 from dyknow_msgs.msg import Counts, NodeletCounts, NodeletPorts, Verdict
+from rospy.msg import deserialize_messages
 from unit.cli.fake_client import FakeClient
 from unit.manager.world import World
 
 from dyknow.model.graph import Model, NodeletStatus, PortState, State
 from dyknow.model.hosts import HostStatus
 from dyknow.model.streams import ClaimState, StreamStatus
-from dyknow.ros.hosting.listening import VerdictTopics
+from dyknow.ros.hosting.listening import TopicCounter, VerdictTopics
 from dyknow.ros.manager import services
 from dyknow.ros.manager.diagnostics import Counted, statuses
 from dyknow.ros.manager.services import CountsTopic, ManagerServices
@@ -93,6 +95,25 @@ def test_diagnostics_take_the_counts_that_are_under_way(monkeypatch):
     join(*threads)
     assert counted == diagnosed == [[NodeletCounts(nodelet="/0")]]
     assert published == [Counts(counted[0])]
+
+
+def test_messages_that_arrive_together_are_all_counted(monkeypatch):
+    """In one packet: rospy hands on as many of them as its subscriber says."""
+
+    def subscribe(topic, datatype, hear, queue_size=None, **options):
+        arrived = BytesIO()
+        arrived.write(3 * struct.pack("<Ic", 1, b"x"))
+        messages = []
+        deserialize_messages(arrived, messages, datatype, queue_size)
+        for each in messages:
+            each._connection_header = {}
+            hear(each)
+        return mock.Mock()
+
+    monkeypatch.setattr(rospy, "Subscriber", subscribe)
+    registrar, at_once = mock.Mock(), mock.Mock(run=lambda register: register())
+    counted = TopicCounter("/beats", registrar, at_once).count()
+    assert counted is not None and counted.messages == 3
 
 
 # Verdicts that the manager hears
