@@ -9,6 +9,7 @@ life. A master that does not know the manager, or is another process than before
 parts of the mirror are put back, of each node that still answers at its address: parameters first,
 then services and publishers, then subscribers. Each node lists its topics itself, so those that it
 has given up meanwhile stay away; a node that does not answer in time gets back those that it had.
+Where no node answers, the mirror is that of an earlier session, and nothing comes back.
 
 Connections between nodes outlive a master. Since all publishers are registered before the first
 subscriber, no subscriber ever hears of some of its publishers alone, which would make it close its
@@ -222,7 +223,7 @@ class MasterKeeper:
         with ThreadPoolExecutor(_ASKERS) as pool:
             asked = list(pool.map(lambda each: self._ask_topics(each, missing[each]), missing))
             living = {node: found for node, found in zip(missing, asked) if found is not None}
-            if not living:
+            if all(found == NodeTopics() for found in living.values()):
                 return  # of an earlier session
             loss = MasterLoss(kept, present, living, self._me)
             services = loss.services()

@@ -383,6 +383,25 @@ def test_the_mirror_outlives_its_manager_unless_all_nodes_have_ended(graph, keep
         assert (graph.core.state()[0], found) == ({"/rosout": [ME]}, {})
 
 
+def test_a_silent_node_alone_brings_no_earlier_session_back(graph, keeper, monkeypatch):
+    """The power has failed, and the network to its host with it."""
+    ended, silent = graph.node("/ended"), graph.node("/silent")
+    ended.publish("/words")
+    silent.subscribe("/words")
+    graph.set(run_id="first", rate=5)
+    keeper.look()
+    ended.close()
+    graph.manager.close()
+    silent.goes_on.clear()
+    monkeypatch.setattr(keeper_module, "_PATIENCE", 0.05)
+    graph.core.renew()
+    graph.set(run_id="second")
+    graph.node(ME).publish("/rosout", "rosgraph_msgs/Log")
+    graph.keeper().look()
+    assert graph.core.state()[:2] == [{"/rosout": [ME]}, {}]
+    assert graph.core.parameters() == {"run_id": "second"}
+
+
 def test_the_file_is_written_every_few_seconds_at_most_and_not_used_if_it_is_wrong(graph, caplog):
     clock = HandClock()
     file = Path(graph.path)
