@@ -11,7 +11,7 @@ from typing import Any, Collection, Iterable, Iterator, Mapping, Sequence
 
 from dyknow import names
 from dyknow.ros.nodelets.announcements import TOPIC
-from dyknow.ros.wire.master import Question
+from dyknow.ros.wire.master import Question, is_hollow
 
 #: Each roscore has its own, and refuses to start beside another one.
 _RUN_ID = "run_id"
@@ -156,7 +156,7 @@ def lost_parameters(
     for key in sorted(kept):
         name = names.join(namespace, key)
         if key not in present:
-            if name != f"/{_RUN_ID}" and kept[key] != {}:
+            if name != f"/{_RUN_ID}" and not is_hollow(kept[key]):
                 yield name, kept[key]
         elif isinstance(kept[key], dict) and isinstance(present[key], dict):
             yield from lost_parameters(kept[key], present[key], name)

@@ -139,6 +139,14 @@ def _all(answers: Sequence[Any]) -> list[Any]:
     return [each[0][2] if isinstance(each, list) and each[0][0] == 1 else None for each in answers]
 
 
+def is_hollow(tree: Any) -> bool:
+    """Whether a value of the parameter server is a namespace with no parameter in it.
+
+    Other values cannot be compared with ``{}``: Python 3.8 refuses that for dates.
+    """
+    return isinstance(tree, dict) and all(map(is_hollow, tree.values()))
+
+
 class Master:
     """The master at ``uri``, by default ``ROS_MASTER_URI``, queried in the name of one node.
 

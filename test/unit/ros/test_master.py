@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Dict, List, Tuple
-from xmlrpc.client import Binary, dumps
+from xmlrpc.client import Binary, DateTime, dumps
 
 import pytest
 import rosmaster.master
@@ -450,6 +450,20 @@ def test_present_parameters_stay_and_all_others_come_back(kept, present):
         assert last not in tree
         tree[last] = value
     assert present == expected
+
+
+class Date(DateTime):
+    """One of Python 3.8, which can be compared with other dates alone."""
+
+    def __eq__(self, other: object) -> bool:
+        assert isinstance(other, DateTime), f"Can't compare DateTime and {type(other)}"
+        return super().__eq__(other)
+
+
+def test_a_date_comes_back_and_a_namespace_without_parameters_does_not():
+    date = Date("20210503T14:00:00")
+    kept = {"camera": {"calibrated": date}, "empty": {}, "hollow": {"inner": {}}}
+    assert [*lost_parameters(kept, {"camera": {}})] == [("/camera/calibrated", date)]
 
 
 # Questions to a master
