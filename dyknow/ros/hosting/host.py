@@ -318,13 +318,8 @@ class RosHost(Host):
         return reconfigure(self._master, name, parameter)
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
-        """Delete the parameters, and the namespace if nothing is left in it."""
-        for parameter in parameters:
-            self._delete_parameter(names.join(name, parameter))
-        if parameters:
-            with contextlib.suppress(LookupError, PeerTimeout):
-                if self._master.ask("getParam", name) == {}:
-                    self._delete_parameter(name)
+        with contextlib.suppress(LookupError, PeerTimeout):  # no master
+            self._master.delete_parameters(name, parameters)
 
     def reported(self, manager: str, name: str) -> Reported | None:
         peer = self._peer(manager)
@@ -471,7 +466,3 @@ class RosHost(Host):
                 self._master.ask("setParam", key, value_of(parameter))
             except (LookupError, PeerTimeout, OverflowError, TypeError) as error:
                 raise HostError(f"parameter '{key}' cannot be set: {error}") from error
-
-    def _delete_parameter(self, key: str) -> None:
-        with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no master
-            self._master.ask("deleteParam", key)

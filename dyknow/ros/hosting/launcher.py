@@ -162,9 +162,7 @@ class Launcher:
             if uri:
                 self._master.purge(name, uri)
             care = () if kind.is_node else self._care
-            for key in (*self._parameters_of(kind, name), *care):
-                with contextlib.suppress(LookupError):
-                    self._master.ask("deleteParam", names.join(name, key))
+            self._master.delete_parameters(name, (*self._parameters_of(kind, name), *care))
         except (LookupError, PeerTimeout) as error:
             _log.warning("what %s left at the master: %s", name, error)
 

@@ -352,9 +352,8 @@ class ManagerNode(Closable):
 
     def _forget_parameters(self) -> None:
         """Delete the parameters that are to end with this life."""
-        for parameter in self._passing:
-            with contextlib.suppress(LookupError, PeerTimeout):  # not set, or no ROS master
-                self._master.ask("deleteParam", names.join(self._master.caller, parameter))
+        with contextlib.suppress(LookupError, PeerTimeout):  # no ROS master
+            self._master.delete_parameters(self._master.caller, self._passing)
 
     def _protected(self) -> dict[str, list[str]]:
         protected: dict[str, list[str]] = {}

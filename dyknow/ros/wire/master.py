@@ -11,7 +11,7 @@ import os
 import queue
 import re
 import xmlrpc.client
-from typing import Any, Callable, Iterable, Sequence, Tuple
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 from xml.parsers.expat import ExpatError
 
 from dyknow import names
@@ -145,6 +145,15 @@ def is_hollow(tree: Any) -> bool:
     Other values cannot be compared with ``{}``: Python 3.8 refuses that for dates.
     """
     return isinstance(tree, dict) and all(map(is_hollow, tree.values()))
+
+
+def _hollow(tree: Any, name: str) -> Iterator[str]:
+    """Yield the outermost namespaces of a tree, itself perhaps, with no parameter in them."""
+    if is_hollow(tree):
+        yield name
+    elif isinstance(tree, dict):
+        for key in sorted(tree):
+            yield from _hollow(tree[key], names.join(name, key))
 
 
 class Master:
@@ -301,6 +310,13 @@ class Master:
             if node in nodes:
                 dead.ask("unregisterService", service, self.ask("lookupService", service))
         dead.ask("unsubscribeParam", uri, names.LOG_PARAMETER)
+
+    def delete_parameters(self, node: str, parameters: Iterable[str]) -> None:
+        """Delete private parameters of a node, and its namespaces that are left without any."""
+        deleted = [("deleteParam", self.caller, names.join(node, each)) for each in parameters]
+        if deleted:
+            left = self.ask_all([*deleted, ("getParam", self.caller, node)])[-1]
+            self.ask_all(("deleteParam", self.caller, each) for each in _hollow(left, node))
 
     def _subscribed(self, node: str, topic: str) -> str:
         """Return the type a node subscribes to a topic with; empty without a quick answer."""

@@ -424,7 +424,8 @@ def test_outputs_are_bounded_in_all_and_those_of_an_earlier_life_go_first(
     first, second = (ChildRecord(name, NodeletKind.PYTHON) for name in ("/first", "/second"))
     launcher.launch(first)
     end(first)
-    launcher._master.ask.assert_any_call("deleteParam", "/first/owner")
+    name, parameters = launcher._master.delete_parameters.call_args[0]
+    assert name == "/first" and "owner" in parameters
     assert earlier.exists()
     launcher.launch(second)
     (folder / "second-output.log").write_bytes(bytes(50))

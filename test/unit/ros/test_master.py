@@ -499,6 +499,17 @@ def test_the_master_forgets_a_node_that_is_purged_and_no_successor(uri):
     assert asking.publishers("/topic") == {"/dead"}
 
 
+def test_namespaces_without_parameters_go_with_their_last_one(uri):
+    asking = Master("/asking", uri)
+    names = ["rate", "in/rate", "in/raw/size", "out/raw/size"]
+    for name in (*names, "out/rate"):
+        asking.ask("setParam", f"/robot/node/{name}", 5)
+    asking.delete_parameters("/robot/node", [*names, "unset"])
+    assert asking.ask("getParam", "/robot") == {"node": {"out": {"rate": 5}}}
+    asking.delete_parameters("/robot/node", ["out/rate"])
+    assert asking.ask("getParam", "/robot") == {}, "it is not the node's"
+
+
 def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
     node = Master("/node", uri)
     node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
