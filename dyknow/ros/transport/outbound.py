@@ -142,7 +142,7 @@ class Outbound:
                     self._is_sending = self._has_thread = False
                     return
             poll = select.poll()
-            with contextlib.suppress(OSError, ValueError, AttributeError):  # closed just now
+            with contextlib.suppress(OSError, ValueError, TypeError):  # closed just now
                 poll.register(self._connection.socket, awaited)
                 poll.poll(_LOOK * 1000)
 

@@ -17,6 +17,7 @@ import sys
 import threading
 from subprocess import PIPE
 from types import SimpleNamespace
+from typing import Any
 
 import genpy.dynamic
 import numpy as np
@@ -383,13 +384,15 @@ class Connection:
     stat_bytes = stat_num_msg = 0
 
     def __init__(self):
+        self.socket: Any
         self.socket, self.other = socket.socketpair()
         self.done = False
 
     def close(self):
-        self.done = True
-        self.socket.close()
-        self.other.close()
+        if not self.done:
+            self.socket.close()
+            self.other.close()
+            self.socket, self.done = None, True
 
 
 @pytest.fixture
@@ -470,6 +473,20 @@ def test_a_subscriber_that_goes_while_messages_wait(connection):
         outbound.write_data(frame(number, 1 << 20))
     connection.other.close()
     eventually(outbound.is_idle)
+
+
+def test_a_subscriber_that_goes_between_two_attempts(connection, monkeypatch):
+    outbound = Outbound(connection, 3, ARENA)
+    write_on = outbound._write_on
+
+    def and_close():
+        awaited = write_on()
+        connection.close()
+        return awaited
+
+    monkeypatch.setattr(outbound, "_write_on", and_close)
+    outbound.write_data(frame(1, 10 << 20))
+    eventually(lambda: not outbound._is_sending)
 
 
 @pytest.mark.parametrize("greets", [False, True])
