@@ -114,11 +114,13 @@ class LibraryFiles:
         try:
             return self._read(paths)
         except DyKnowError as error:
-            if len(paths) == len(own):
-                expected = f"files that can be used; {error}"
-                raise BadParameter("~ontologies", " ".join(own), expected) from error
-            rospy.logerr("ontologies of packages are not used: %s", error)
-        found = self._read(own)
+            trouble = error
+        try:
+            found = self._read(own)
+        except DyKnowError as error:
+            expected = f"files that can be used; {error}"
+            raise BadParameter("~ontologies", " ".join(own), expected) from error
+        rospy.logerr("ontologies of packages are not used: %s", trouble)
         self._related = paths, stamps(paths)
         return found
 

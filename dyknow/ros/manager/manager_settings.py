@@ -16,6 +16,7 @@ import rospkg
 import rospy
 
 from dyknow import names
+from dyknow.errors import BadParameter, InvalidName
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.supervision.watchdog import NO_WATCHDOG, WatchdogLimits
@@ -88,15 +89,11 @@ class ManagerSettings:
     @classmethod
     def read(cls, parameters: Any) -> ManagerSettings:
         """Read the node's private parameters; BadParameter if one has an unusable value."""
-        node = rospy.get_name()
         given = _Parameters(parameters)
         given.check_groups()
         given.warn_of_unknown()
         return cls(
-            nodelet_managers=tuple(
-                names.resolve(name, names.parent(node), node, "name in ~nodelet_managers")
-                for name in given.strings("nodelet_managers")
-            ),
+            nodelet_managers=given.nodes("nodelet_managers"),
             num_nodelet_managers=given.integer("num_nodelet_managers", 1),
             state_dir=given.path("state_dir"),
             ontologies=given.paths("ontologies"),
@@ -235,6 +232,18 @@ class _Parameters(PrivateParameters):
         if paths != given:
             rospy.set_param(f"~{name}", list(paths))
         return paths
+
+    def nodes(self, name: str) -> tuple[str, ...]:
+        """Read names of nodes; relative ones resolve in the manager's namespace."""
+        node = rospy.get_name()
+        try:
+            return tuple(
+                names.resolve(each, names.parent(node), node) for each in self.strings(name)
+            )
+        except InvalidName as error:
+            raise BadParameter(
+                f"~{name}", error.name, "names of nodes, separated by spaces"
+            ) from error
 
     def topic_patterns(self, name: str) -> tuple[str, ...]:
         """Read patterns of topics; relative ones resolve in the manager's namespace."""

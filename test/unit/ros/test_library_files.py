@@ -331,12 +331,13 @@ def test_an_ontology_that_becomes_wrong_is_not_used(lab, logged):
 
 
 def test_at_the_start_a_wrong_ontology_of_a_parameter_is_an_error(lab, logged):
-    lab.write("lab.ttl", "nonsense")
-    with pytest.raises(BadParameter, match="'~ontologies'.*is not valid turtle"):
-        lab.begin()
+    for file in ("lab.ttl", "package.ttl"):
+        lab.write(file, "nonsense")
+    for exported in ([], ["package.ttl"]):
+        lab.exports["ontology"] = exported
+        with pytest.raises(BadParameter, match="'~ontologies'.*lab.ttl.*is not valid turtle"):
+            lab.begin()
     lab.write("lab.ttl", ONTOLOGY)
-    lab.write("package.ttl", "nonsense")
-    lab.exports["ontology"] = ["package.ttl"]
     lab.begin()
     assert lab.views == ["left"]
     assert len(logged) == 1

@@ -88,6 +88,14 @@ def test_seconds_are_those_that_a_wait_can_last(given, name, value):
     assert getattr(ManagerSettings.read(given), name) == 1e6
 
 
+def test_names_of_nodelet_managers_are_not_separated_by_commas(given):
+    given["nodelet_managers"] = "mine /other"
+    assert ManagerSettings.read(given).nodelet_managers == ("/mine", "/other")
+    given["nodelet_managers"] = "mine,/other"
+    with pytest.raises(BadParameter, match="^parameter '~nodelet_managers' is 'mine,/other'"):
+        ManagerSettings.read(given)
+
+
 def test_names_that_differ_in_their_separators_have_files_of_their_own(monkeypatch, tmp_path):
     folder, master = str(tmp_path / "new"), "http://host:11311"
     monkeypatch.setattr(manager_settings.rosgraph, "get_master_uri", lambda: master)
