@@ -33,7 +33,7 @@ import collections
 import contextlib
 import copy
 import functools
-from typing import Any, Callable, Collection, Iterator, Tuple
+from typing import Any, Callable, Collection, ContextManager, Iterator, Tuple
 
 import rospy
 import rospy.core
@@ -116,6 +116,14 @@ class _Waiting:
             message = self._messages.popleft()
         if self.is_wanted():
             self._subscriber._invoke_callback(message, *self.entry)
+
+
+def held(publisher: Any) -> ContextManager[Any]:
+    """Hold rospy's publisher, if there is one, so that no other thread publishes.
+
+    Its own ``release`` does nothing once another thread has closed it: that takes its lock off.
+    """
+    return getattr(publisher, "publock", None) or contextlib.nullcontext()
 
 
 class OrdinaryHandles(rospy.SubscribeListener):
@@ -261,13 +269,8 @@ class OrdinaryHandles(rospy.SubscribeListener):
     def _publisher_held(self) -> Iterator[Any]:
         """Hold rospy's publisher, if there is one: nothing is published, nothing connected."""
         publisher = self._publisher
-        if publisher is not None:
-            publisher.acquire()
-        try:
+        with held(publisher):
             yield publisher
-        finally:
-            if publisher is not None:
-                publisher.release()
 
     def expect(self, notified: Collection[str]) -> None:
         """Keep messages for subscribers that were notified and have yet to connect."""

@@ -24,7 +24,7 @@ from dyknow.errors import PeerTimeout, RemappedTopic
 from dyknow.locks import flag_lock
 from dyknow.nodelet.middleware import HERE, OutsidePublisher, OutsideSubscriber, Receive
 from dyknow.ros.transport.conversions import TypedReceiver, shallow_copy
-from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport
+from dyknow.ros.transport.intraprocess import IntraProcess, IntraProcessTransport, held
 from dyknow.ros.transport.outbound import Outbound
 from dyknow.ros.transport.registrar import Registrar
 from dyknow.ros.transport.shared_memory import SharedMemory
@@ -185,28 +185,26 @@ class RospyPublisher(OutsidePublisher):
         implementation = self._implementation
         if implementation.is_latch and peer is None:
             self.sent = message
-        implementation.acquire()
-        latched, sent = implementation.latch, implementation.message_data_sent
-        try:
-            if not self._shared_memory.publish(implementation, message, peer, self._size):
-                self._ordinary.outwards(message, peer)
-            self._size = implementation.message_data_sent - sent
-            if peer is not None:
-                implementation.latch = latched
-            elif not implementation.is_latch:  # a later subscriber gets the last one anyway
-                self._ordinary.backlog.keep(message)
-        except Exception as error:
-            if self._closed:
-                return
-            if implementation.buff is not None:
-                # rospy leaves the written part in front of the next message.
-                implementation.buff.seek(0)
-                implementation.buff.truncate(0)
-            if isinstance(error, genpy.SerializationError):
-                raise rospy.ROSSerializationException(str(error)) from error
-            raise
-        finally:
-            implementation.release()
+        with held(implementation):
+            latched, sent = implementation.latch, implementation.message_data_sent
+            try:
+                if not self._shared_memory.publish(implementation, message, peer, self._size):
+                    self._ordinary.outwards(message, peer)
+                self._size = implementation.message_data_sent - sent
+                if peer is not None:
+                    implementation.latch = latched
+                elif not implementation.is_latch:  # a later subscriber gets the last one anyway
+                    self._ordinary.backlog.keep(message)
+            except Exception as error:
+                if self._closed:
+                    return
+                if implementation.buff is not None:
+                    # rospy leaves the written part in front of the next message.
+                    implementation.buff.seek(0)
+                    implementation.buff.truncate(0)
+                if isinstance(error, genpy.SerializationError):
+                    raise rospy.ROSSerializationException(str(error)) from error
+                raise
 
 
 class RospySubscriber(OutsideSubscriber):

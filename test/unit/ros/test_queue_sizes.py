@@ -14,7 +14,7 @@ from typing import Any, Iterator
 
 import pytest
 import rospy.topics
-from clocks import PATIENCE
+from clocks import PATIENCE, in_thread, join
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
@@ -200,6 +200,26 @@ def test_a_publication_is_not_heard_by_a_subscriber_that_has_not_come_in_time(to
     now[0] += LONGEST
     topic.handles.backlog.keep(String())
     assert not publisher.heard
+
+
+@pytest.mark.parametrize("is_publishing", [True, False])
+def test_a_wait_for_a_publisher_that_is_closed_meanwhile_ends(topic, is_publishing):
+    """As where a nodelet is unloaded of which two threads publish."""
+    publisher, lock = topic.advertise(1), topic.implementation.publock
+    topic.subscribe()
+
+    class Closing(String):
+        def serialize(self, buff):
+            publisher._closed = True
+            topic.implementation.close()
+            super().serialize(buff)
+
+    def hold():
+        with topic.handles._publisher_held():
+            topic.implementation.close()
+
+    join(in_thread((lambda: publisher.publish(Closing())) if is_publishing else hold))
+    assert lock.acquire(blocking=False)
 
 
 # Ordinary subscribers in the process itself
