@@ -337,10 +337,14 @@ private:
 
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
   {
-    const bool is_node = proxy->name == ros::this_node::getName();
-    if (is_node)
+    const auto node = Registry::instance().node();
+    if (proxy == node)
     {
       Guards::readRewirable();  // a nodelet manager's was read before
+    }
+    else if (!isNodeletManager())
+    {
+      offerInTurn(node);  // it loads nodelets by itself: DyKnow managers find them by its services
     }
     offerProcessInTurn();
     advertise<GetConfigEvent>(proxy->name + "/get_config",
@@ -349,7 +353,7 @@ private:
                               [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
     advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
                                   { return getStatistics(*proxy, event); });
-    if (is_node)
+    if (proxy == node)
     {
       advertiseChanges();  // last: managers poll it at once
     }

@@ -56,6 +56,8 @@ public:
 
   std::shared_ptr<NodeletProxy> ownerOf(const ros::NodeHandle& handle,
                                         const ros::CallbackQueueInterface* queue);
+  /// The proxy of the node itself.
+  std::shared_ptr<NodeletProxy> node();
   std::vector<std::shared_ptr<NodeletProxy>> owners() const;
 
   /// Type of a topic that a port of this process is connected to; empty if none is.
@@ -76,7 +78,6 @@ public:
 private:
   Registry() = default;
 
-  std::shared_ptr<NodeletProxy> node();
   bool isPresentLocked(const std::shared_ptr<NodeletProxy>& proxy) const;
 
   mutable std::shared_mutex state_lock_;

@@ -25,6 +25,7 @@ from rospy.impl.statistics import SubscriberStatisticsLogger
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from dyknow.guards import NOT_REWIRABLE
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.service_client import ServiceClient
@@ -285,6 +286,25 @@ class StandaloneTest(HabitsCase):
         self.move("/eager", "~early", "/earlier")
         becomes(lambda: graph.nodes_on("/earlier")[0], {"/eager"})
         self.assertNotIn("ERROR", node.output)
+
+
+class OwnNodeletsTest(HabitsCase):
+    """A node that is no nodelet manager may load nodelets, which have other names."""
+
+    NODELET = "/loading_rectify_mono"
+
+    def test_they_are_announced_and_polled(self):
+        """Under the parameters of their node."""
+        command = (*RUN, "image_proc", "image_proc", "__name:=loading", "_rewirable:=false")
+        node = self.run_process(*command)
+        told = self.enter(Heard(NODES_TOPIC, NodeletChanges, graph.named))
+        told.has(lambda nodelets: self.NODELET in nodelets)
+        nodelets = graph.poll("/loading", is_node=True).nodelets
+        self.assertIn(self.NODELET, nodelets)
+        self.assertNotIn("/loading", nodelets)  # it has no ports
+        answer = graph.set_config(self.NODELET, image_rect="/moved")
+        self.assertIn(NOT_REWIRABLE, answer.message)
+        self.stop(node)
 
 
 if __name__ == "__main__":
