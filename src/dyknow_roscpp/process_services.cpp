@@ -323,16 +323,16 @@ public:
 private:
   Services()
   {
+    serve(poll_queue_);
     for (int i = 0; i < THREADS; ++i)
     {
-      // No ros::AsyncSpinner: it has a ros::NodeHandle, and wakes up ten times a second.
-      std::thread(&Services::serve, this).detach();
+      serve(queue_);
     }
   }
 
   void offerProcessInTurn()
   {
-    advertise<PollEvent>(pollService(), [this](PollEvent& event) { return poll(event); });
+    advertise<PollEvent>(pollService(), [this](PollEvent& event) { return poll(event); }, poll_queue_);
   }
 
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
@@ -348,23 +348,30 @@ private:
     }
     offerProcessInTurn();
     advertise<GetConfigEvent>(proxy->name + "/get_config",
-                              [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); });
+                              [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); }, queue_);
     advertise<SetConfigEvent>(proxy->name + "/set_config",
-                              [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); });
+                              [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); }, queue_);
     advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
-                                  { return getStatistics(*proxy, event); });
+                                  { return getStatistics(*proxy, event); }, queue_);
     if (proxy == node)
     {
       advertiseChanges();  // last: managers poll it at once
     }
   }
 
-  void serve()
+  /// Calls what is in a queue, on one more thread.
+  static void serve(ros::CallbackQueue& queue)
   {
-    for (;;)
-    {
-      queue_.callOne(ros::WallDuration(std::chrono::duration<double>(std::chrono::hours(1)).count()));
-    }
+    // No ros::AsyncSpinner: it has a ros::NodeHandle, and wakes up ten times a second.
+    std::thread(
+        [&queue]
+        {
+          for (;;)
+          {
+            queue.callOne(ros::WallDuration(std::chrono::duration<double>(std::chrono::hours(1)).count()));
+          }
+        })
+        .detach();
   }
 
   bool poll(PollEvent& event) const
@@ -424,16 +431,16 @@ private:
     };
     const ros::SubscriberStatusCallback none;
     const auto options = ros::AdvertiseOptions::create<dyknow_msgs::NodeletChanges>(
-        NODES, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &queue_);
+        NODES, QUEUE_SIZE, greet, none, ros::VoidConstPtr(), &poll_queue_);
     const topics::WiringLock lock;
     topics::advertise(
         lock, options,
-        boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &queue_));
+        boost::make_shared<ros::SubscriberCallbacks>(greet, none, ros::VoidConstPtr(), &poll_queue_));
   }
 
   /// Offers a service unless it is.
   template <class Event, class Answer>
-  void advertise(const std::string& name, Answer answer)
+  void advertise(const std::string& name, Answer answer, ros::CallbackQueue& queue)
   {
     if (!topics::isUp() || ros::ServiceManager::instance()->lookupServicePublication(name))
     {
@@ -441,7 +448,7 @@ private:
     }
     ros::AdvertiseServiceOptions options;
     options.initBySpecType<Event>(name, answer);
-    options.callback_queue = &queue_;
+    options.callback_queue = &queue;
     ros::ServiceManager::instance()->advertiseService(options);
   }
 
@@ -526,6 +533,7 @@ private:
   }
 
   ros::CallbackQueue queue_;
+  ros::CallbackQueue poll_queue_;  ///< waits for no set_config: leases run out meanwhile
   std::mutex turn_lock_;
   mutable std::mutex state_lock_;
   std::map<std::string, std::uint64_t> changed_;  ///< number of the last change of each nodelet

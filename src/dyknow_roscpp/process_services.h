@@ -3,7 +3,7 @@
 
 /// @file The services of proxies and of the process, and the announcement of changes.
 ///
-/// They have a callback queue and threads of their own: a nodelet whose callback hangs can be looked at and
+/// They have callback queues and threads of their own: a nodelet whose callback hangs can be looked at and
 /// re-wired.
 #ifndef DYKNOW_ROSCPP_PROCESS_SERVICES_H
 #define DYKNOW_ROSCPP_PROCESS_SERVICES_H

@@ -810,27 +810,64 @@ class HungMasterTest(TellingCase):
         self.addCleanup(client.close)
         return client
 
-    def test_set_config_is_refused_in_time(self):
+    def setUp(self):
+        super().setUp()
         port = free_port()
         uri = f"http://localhost:{port}"
-        core = self.enter(Running("rosmaster", "--core", "-p", port))
+        self.core = self.enter(Running("rosmaster", "--core", "-p", port))
         self.master = Master("/tests", uri)
         manager = self.run_process("env", f"ROS_MASTER_URI={uri}", *OURS, "__name:=cut_off")
         load = self.client("/cut_off/load_nodelet", NodeletLoad)
 
-        def is_loaded() -> bool:
+        def is_loaded(name: str) -> bool:
             try:
-                load.call(5.0 * BUSY, name="/source", type="dyknow_cpp_test/Source")
+                load.call(5.0 * BUSY, name=name, type="dyknow_cpp_test/Source")
             except (HostError, errors.PeerTimeout):
                 return False
             return True
 
-        eventually(is_loaded, 20.0, "the nodelet is loaded", lambda: manager.output)
-        move = self.client("/source/set_config", SetConfig)
+        self.moves = []
+        for name in ("/source", "/second", "/third", "/fourth"):
+            eventually(
+                lambda n=name: is_loaded(n), 20.0, f"{name} is loaded", lambda: manager.output
+            )
+            move = self.client(f"{name}/set_config", SetConfig)
+            self.assertTrue(move.call(5.0 * BUSY, [PortConfig("out", "/a")]).success)
+            self.moves.append(move)
+
+    def test_polls_are_answered_while_many_set_config_wait(self):
+        """Else leases would run out, and claims that nothing is wrong with fall silent."""
+        client = PollClient(Master("/dyknow_manager", self.master.uri), "/cut_off", False)
         ports = self.client("/source/get_config", GetConfig)
-        self.assertTrue(move.call(5.0 * BUSY, [PortConfig("out", "/a")]).success)
+        self.enter(contextlib.closing(client)).ask(5.0 * BUSY)
+        ports.call(5.0 * BUSY)  # which finds it, as long as the ROS master answers
+        movers = [
+            threading.Thread(target=move.call, args=(20.0 * BUSY, [PortConfig("out", "/b")]))
+            for move in self.moves
+        ]
+
+        def are_busy() -> bool:
+            """Whether all threads that serve other services wait for the ROS master."""
+            try:
+                ports.call(1.0)
+            except errors.PeerTimeout:
+                return True
+            return False
+
+        with suspended(self.core.pid):
+            for each in movers:
+                each.start()
+            eventually(are_busy, 2.0, "they wait")
+            client.ask(20.0 * BUSY)
+            self.assertTrue(all(each.is_alive() for each in movers))
+            for each in movers:
+                each.join()
+
+    def test_set_config_is_refused_in_time(self):
+        move = self.moves[0]
+        ports = self.client("/source/get_config", GetConfig)
         ports.call(5.0 * BUSY)
-        with suspended(core.pid):
+        with suspended(self.core.pid):
             for _ in range(2):
                 answer = move.call(5.0 * BUSY, [PortConfig("out", "/b")])
                 self.assertFalse(answer.success)
