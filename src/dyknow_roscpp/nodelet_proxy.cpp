@@ -46,7 +46,8 @@ public:
     end->prepare(topic, deadline, outs);
   }
 
-  void commit(const Announcement& announce)
+  /// @param announcement null: nothing is to be announced
+  void commit(const AnnouncementPtr& announcement)
   {
     bool is_announced = false;
     for (const auto& end : ends_)
@@ -55,12 +56,12 @@ public:
     }
     for (const auto& end : ends_)
     {
-      is_announced = end->commit(announce) || is_announced;
+      is_announced = end->commit(announcement) || is_announced;
     }
     ends_.clear();
-    if (!is_announced)
+    if (announcement && !is_announced)
     {
-      announce();
+      announcement->make();
     }
   }
 
@@ -450,6 +451,7 @@ void NodeletProxy::apply(std::vector<Change> changes)
   {
     std::this_thread::sleep_for(PEERS_STEP);  // a poll: roscpp reports a subscriber, but not of all of them
   }
+  PortMaps maps;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     if (is_closed_)
@@ -457,15 +459,13 @@ void NodeletProxy::apply(std::vector<Change> changes)
       throw Refusal(shared::UNLOADED_MEANWHILE, {name});
     }
     setTopicsLocked(changes);
-    ++reconfigurations_;
+    maps.change = ++reconfigurations_;
   }
-  PortTopics inputs;
-  PortTopics outputs;
   for (const auto& each : ports())
   {
-    (each.port->direction == Direction::IN ? inputs : outputs)[each.name] = each.port->topic();
+    (each.port->direction == Direction::IN ? maps.inputs : maps.outputs)[each.name] = each.port->topic();
   }
-  preparation.commit(listener->announcement(std::move(inputs), std::move(outputs)));
+  preparation.commit(listener->isSet() ? std::make_shared<Announcement>(listener, std::move(maps)) : nullptr);
   followPorts(changes);
 }
 
@@ -481,7 +481,7 @@ void NodeletProxy::followPorts(const std::vector<Change>& changes)
         try
         {
           end->prepare(change.topic, Clock::now() + PEERS_PATIENCE, {});
-          end->commit([] {});
+          end->commit(nullptr);
         }
         catch (const std::exception& error)  // the others have moved, and stay
         {

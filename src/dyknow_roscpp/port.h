@@ -50,10 +50,10 @@ public:
   /// An in-port closes its connection to a topic that out-ports of the change come to; before they are committed.
   virtual void makeWay() {}
 
-  /// @param announce called when the node may be notified: at the switch, before the first new message
-  ///   is queued
-  /// @return whether it is, or will be called
-  virtual bool commit(const Announcement& announce) = 0;
+  /// @param announcement made when the node may be notified: at the switch, before the first new message
+  ///   is queued; null: the node is not to be notified
+  /// @return whether it is, or will be made
+  virtual bool commit(const AnnouncementPtr& announcement) = 0;
   virtual void cancel() = 0;
 
   /// The topic that it is connected to; empty: none. Of an end that is not open, an empty text as well.

@@ -227,7 +227,7 @@ bool PortPublication::isReady() const
   return !next || next->isHeardByAll();
 }
 
-bool PortPublication::commit(const Announcement&)
+bool PortPublication::commit(const AnnouncementPtr&)
 {
   RegistrationPtr old;
   std::lock_guard<std::mutex> lock(message_lock_);

@@ -129,7 +129,7 @@ public:
   // End
   void prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs) override;
   bool isReady() const override;
-  bool commit(const Announcement& announce) override;
+  bool commit(const AnnouncementPtr& announcement) override;
   void cancel() override;
   std::string topic() const override;
   bool isOpen() const override;

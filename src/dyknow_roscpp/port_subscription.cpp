@@ -285,7 +285,7 @@ void PortSubscription::makeWay()
   }
 }
 
-bool PortSubscription::commit(const Announcement& announce)
+bool PortSubscription::commit(const AnnouncementPtr& announcement)
 {
   ConnectionPtr next;
   {
@@ -304,7 +304,7 @@ bool PortSubscription::commit(const Announcement& announce)
       switchLocked(waiting_);  // an earlier move whose topic is still silent: now it is the old one
     }
     next.swap(prepared_);
-    announce_ = announce;
+    announcement_ = announcement;
     if (next)
     {
       next->meets_own_ = false;
@@ -433,9 +433,10 @@ void PortSubscription::switchLocked(ConnectionPtr next)
     }
     later([old = active_] { withdraw(old); });
   }
-  if (announce_)
+  if (announcement_)
   {
-    std::exchange(announce_, nullptr)();
+    announcement_->make();
+    announcement_.reset();
   }
   if (next)
   {

@@ -60,7 +60,7 @@ public:
   // End
   void prepare(const std::string& topic, Clock::time_point deadline, const OutTopics& outs) override;
   void makeWay() override;
-  bool commit(const Announcement& announce) override;
+  bool commit(const AnnouncementPtr& announcement) override;
   void cancel() override;
   std::string topic() const override;
   bool isOpen() const override;
@@ -103,7 +103,7 @@ private:
   ConnectionPtr prepared_;
   bool is_prepared_ = false;
   bool stays_ = false;     ///< the prepared end is to stay on the topic of `active_`
-  Announcement announce_;  ///< called at the next switch
+  AnnouncementPtr announcement_;  ///< made at the next switch
 };
 
 }  // namespace dyknow

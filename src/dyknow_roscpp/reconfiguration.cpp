@@ -5,7 +5,7 @@
 
 #include <ros/console.h>
 
-#include <atomic>
+#include <utility>
 
 #include "process_services.h"
 #include "registry.h"
@@ -19,26 +19,38 @@ namespace
 class Call : public ros::CallbackInterface
 {
 public:
-  Call(std::shared_ptr<const ReconfigureListener> listener, PortTopics inputs, PortTopics outputs)
+  Call(std::shared_ptr<const ReconfigureListener> listener, std::shared_ptr<const PortMaps> maps)
     : listener_(std::move(listener))
-    , inputs_(std::move(inputs))
-    , outputs_(std::move(outputs))
+    , maps_(std::move(maps))
   {
   }
 
   CallResult call() override
   {
-    listener_->call(inputs_, outputs_);
+    listener_->call(*maps_);
     return Success;
   }
 
 private:
   const std::shared_ptr<const ReconfigureListener> listener_;
-  const PortTopics inputs_;
-  const PortTopics outputs_;
+  const std::shared_ptr<const PortMaps> maps_;
 };
 
 }  // namespace
+
+Announcement::Announcement(std::shared_ptr<ReconfigureListener> listener, PortMaps maps)
+  : listener_(std::move(listener))
+  , maps_(std::make_shared<PortMaps>(std::move(maps)))
+{
+}
+
+void Announcement::make()
+{
+  if (!is_made_.exchange(true))
+  {
+    listener_->queue(maps_);
+  }
+}
 
 void ReconfigureListener::set(ReconfigureCallback callback, ros::CallbackQueueInterface* queue)
 {
@@ -47,19 +59,27 @@ void ReconfigureListener::set(ReconfigureCallback callback, ros::CallbackQueueIn
   queue_ = queue;
 }
 
-Announcement ReconfigureListener::announcement(PortTopics inputs, PortTopics outputs)
+bool ReconfigureListener::isSet() const
 {
-  const auto is_done = std::make_shared<std::atomic<bool>>(false);
-  return [self = shared_from_this(), inputs = std::move(inputs), outputs = std::move(outputs), is_done]
-  {
-    if (!is_done->exchange(true))
-    {
-      self->queue(inputs, outputs);
-    }
-  };
+  std::lock_guard<std::mutex> lock(state_lock_);
+  return static_cast<bool>(callback_);
 }
 
-void ReconfigureListener::call(const PortTopics& inputs, const PortTopics& outputs) const
+void ReconfigureListener::queue(const std::shared_ptr<const PortMaps>& maps)
+{
+  std::lock_guard<std::mutex> lock(state_lock_);
+  if (!latest_ || latest_->change < maps->change)
+  {
+    latest_ = maps;
+  }
+  if (callback_)
+  {
+    queue_->addCallback(boost::make_shared<Call>(shared_from_this(), latest_),
+                        reinterpret_cast<std::uint64_t>(this));
+  }
+}
+
+void ReconfigureListener::call(const PortMaps& maps) const
 {
   ReconfigureCallback callback;
   {
@@ -72,21 +92,11 @@ void ReconfigureListener::call(const PortTopics& inputs, const PortTopics& outpu
   }
   try
   {
-    callback(inputs, outputs);
+    callback(maps.inputs, maps.outputs);
   }
   catch (const std::exception& error)
   {
     ROS_ERROR("reconfigure callback: %s", error.what());
-  }
-}
-
-void ReconfigureListener::queue(const PortTopics& inputs, const PortTopics& outputs)
-{
-  std::lock_guard<std::mutex> lock(state_lock_);
-  if (callback_)
-  {
-    queue_->addCallback(boost::make_shared<Call>(shared_from_this(), inputs, outputs),
-                        reinterpret_cast<std::uint64_t>(this));
   }
 }
 

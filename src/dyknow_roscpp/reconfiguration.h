@@ -7,7 +7,8 @@
 
 #include <ros/callback_queue_interface.h>
 
-#include <functional>
+#include <atomic>
+#include <cstdint>
 #include <memory>
 #include <mutex>
 
@@ -16,8 +17,32 @@
 namespace dyknow
 {
 
-/// Puts a call of the node's callback into its queue; only the first time that it is called.
-using Announcement = std::function<void()>;
+class ReconfigureListener;
+
+/// Where the ports are after one change.
+struct PortMaps
+{
+  std::uint32_t change;  ///< number of the change
+  PortTopics inputs;
+  PortTopics outputs;
+};
+
+/// Announces one change to the callback of a node or nodelet. Every method is safe from any thread.
+class Announcement
+{
+public:
+  Announcement(std::shared_ptr<ReconfigureListener> listener, PortMaps maps);
+
+  /// Puts a call of the callback into its queue; only the first time that it is called.
+  void make();
+
+private:
+  const std::shared_ptr<ReconfigureListener> listener_;
+  const std::shared_ptr<const PortMaps> maps_;
+  std::atomic<bool> is_made_{false};
+};
+
+using AnnouncementPtr = std::shared_ptr<Announcement>;
 
 /// The callback of one node or nodelet. Every method is safe from any thread.
 class ReconfigureListener : public std::enable_shared_from_this<ReconfigureListener>
@@ -29,17 +54,19 @@ public:
   /// Calls nothing any more.
   void close() { set(nullptr, nullptr); }
 
-  Announcement announcement(PortTopics inputs, PortTopics outputs);
+  bool isSet() const;
 
-  /// Calls it with these topics, if it is still there.
-  void call(const PortTopics& inputs, const PortTopics& outputs) const;
+  /// Queues a call of it: with the maps of a later change, if that was queued before.
+  void queue(const std::shared_ptr<const PortMaps>& maps);
+
+  /// Calls it with these maps, if it is still there.
+  void call(const PortMaps& maps) const;
 
 private:
-  void queue(const PortTopics& inputs, const PortTopics& outputs);
-
   mutable std::mutex state_lock_;
   ReconfigureCallback callback_;
   ros::CallbackQueueInterface* queue_ = nullptr;
+  std::shared_ptr<const PortMaps> latest_;  ///< those of the latest change that was queued
 };
 
 }  // namespace dyknow

@@ -568,6 +568,24 @@ class ReconfigureTest(CppCase):
         self.publish("/other", 30.0)
         becomes(means.copy, [30.0])  # it hears of its out-port too
 
+    def notes(self) -> list[str]:
+        """What a listener has received, and been told of its in-ports."""
+        return rospy.ServiceProxy("/listener/notes", Trigger)().message.splitlines()
+
+    def told(self) -> list[str]:
+        return [note for note in self.notes() if note.startswith("told")]
+
+    def load_listener(self) -> None:
+        self.manager.load("Listener", "/listener", {"/in": "/one", "/second": "/two"})
+
+    def test_the_last_call_says_where_the_ports_are(self):
+        """Also that of an earlier change, which has waited for a topic that is silent."""
+        self.load_listener()
+        connect("/listener", **{"in": "/silent"})
+        connect("/listener", second="/other")
+        becomes(lambda: len(self.told()), 2)
+        self.assertEqual(self.told()[-1], "told /silent /other")
+
     def test_without_the_library_it_is_never_called(self):
         stock = self.enter(CppManager("/stock", *STOCK))
         stock.load("Smoother", "/plain", {"/in": "/one", "/out": "/plain_out"})
