@@ -63,9 +63,11 @@ void PortSubscription::close()
 {
   std::vector<ConnectionPtr> all;
   std::list<QueuedMessage> left;  // destroyed without the lock
+  AnnouncementPtr announcement;
   {
     std::lock_guard<std::mutex> lock(state_lock_);
     is_open_ = false;
+    announcement.swap(announcement_);
     for (auto* each : {&active_, &waiting_, &prepared_})
     {
       if (*each)
@@ -81,6 +83,10 @@ void PortSubscription::close()
   if (shutdowns_ != topics::shutdowns())
   {
     return;
+  }
+  if (announcement)
+  {
+    announcement->make();  // the old topic is left
   }
   {
     const std::lock_guard<std::mutex> none_is_queued(queueing_lock_);  // from now on

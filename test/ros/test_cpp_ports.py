@@ -586,6 +586,13 @@ class ReconfigureTest(CppCase):
         becomes(lambda: len(self.told()), 2)
         self.assertEqual(self.told()[-1], "told /silent /other")
 
+    def test_a_subscription_that_is_made_anew_before_its_first_message(self):
+        """The change that it was waiting for is announced all the same."""
+        self.load_listener()
+        connect("/listener", **{"in": "/silent"})
+        rospy.ServiceProxy("/listener/again", Trigger)()
+        becomes(self.told, ["told /silent /two"])
+
     def test_without_the_library_it_is_never_called(self):
         stock = self.enter(CppManager("/stock", *STOCK))
         stock.load("Smoother", "/plain", {"/in": "/one", "/out": "/plain_out"})
