@@ -38,7 +38,7 @@ public:
   }
 
   /// Sets the callback of the node or nodelet. It is called in the handle's callback queue, between the last
-  /// message of an old topic and the first one of a new topic; an exception in it is logged, and the ports stay
+  /// message of the old topics and the first one of a new topic; an exception in it is logged, and the ports stay
   /// where they are.
   ///
   /// @param callback an empty one: nothing is called any more

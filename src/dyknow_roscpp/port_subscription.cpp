@@ -123,9 +123,9 @@ bool PortSubscription::take(QueuedMessage&& message)
     {
       return false;
     }
-    if (connection.state_ == Connection::State::WAITING)
+    if (waiting_ && (connection.state_ == Connection::State::WAITING || (announcement_ && announcement_->isMade())))
     {
-      switchLocked(waiting_);
+      switchLocked(waiting_);  // or another in-port of the change has, which the node was told
     }
     if (connection.state_ == Connection::State::CLOSED)
     {

@@ -28,7 +28,8 @@ namespace dyknow
 ///
 /// A move switches at the first message of the new topic. Until then the old topic is live, since its
 /// publisher may be on its way to the new one as well; but no longer than 0.1 s if the new topic has a
-/// publisher, 0.5 s if it has none, and not at all if an out-port of the same change comes to it.
+/// publisher, 0.5 s if it has none, and not at all if an out-port of the same change comes to it. Nothing of it is
+/// delivered once the change is announced to the node's code: another in-port of it may switch first.
 ///
 /// Locks: the wiring lock, then roscpp's, then `queueing_lock_`, then `state_lock_`. Under both of these only
 /// callback queues are called. The first is there for messages that come: a thread that their callback wakes

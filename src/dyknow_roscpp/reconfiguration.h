@@ -36,6 +36,8 @@ public:
   /// Puts a call of the callback into its queue; only the first time that it is called.
   void make();
 
+  bool isMade() const { return is_made_; }
+
 private:
   const std::shared_ptr<ReconfigureListener> listener_;
   const std::shared_ptr<const PortMaps> maps_;

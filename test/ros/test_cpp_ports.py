@@ -593,6 +593,15 @@ class ReconfigureTest(CppCase):
         rospy.ServiceProxy("/listener/again", Trigger)()
         becomes(self.told, ["told /silent /two"])
 
+    def test_no_message_of_an_old_topic_comes_after_it(self):
+        """Though the new topic of one of several in-ports is silent."""
+        self.load_listener()
+        self.enter(graph.Talker("/two", String("old")))
+        becomes(lambda: "old" in self.notes(), True)
+        connect("/listener", **{"in": "", "second": "/silent"})
+        becomes(lambda: graph.nodes_on("/two")[1], set())
+        self.assertEqual(self.notes()[-1], "told  /silent")
+
     def test_without_the_library_it_is_never_called(self):
         stock = self.enter(CppManager("/stock", *STOCK))
         stock.load("Smoother", "/plain", {"/in": "/one", "/out": "/plain_out"})
