@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from dyknow import errors, names, similar
-from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, Guards
+from dyknow.guards import NO_GUARDS, NOT_REWIRABLE, SYSTEM_TOPICS, Guards
 from dyknow.nodelet import leases
 
 
@@ -44,7 +44,7 @@ TEXTS = {
         _A_PATTERN, "{1}"
     ),
 }
-WORDS = {"FORMS": names.FORMS}
+WORDS = {"FORMS": names.FORMS, "SYSTEM_TOPICS": sorted(SYSTEM_TOPICS)}
 NUMBERS = {
     "STRING_LENGTH": NO_GUARDS.string_length,
     "ARRAY_LENGTH": NO_GUARDS.array_length,

@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdlib>
+#include <iterator>
 #include <mutex>
 #include <set>
 #include <sstream>
@@ -201,6 +202,10 @@ void Guards::checkTopic(const std::string& topic) const
     {
       throw Refusal(shared::DENIED, {topic, pattern});
     }
+  }
+  if (std::count(std::begin(shared::SYSTEM_TOPICS), std::end(shared::SYSTEM_TOPICS), topic) > 0)
+  {
+    return;
   }
   for (const auto& each : by_manager_)
   {

@@ -48,7 +48,7 @@ from std_srvs.srv import Trigger
 
 from dyknow import errors
 from dyknow.errors import HostError
-from dyknow.guards import NOT_REWIRABLE, Guards
+from dyknow.guards import NOT_REWIRABLE, SYSTEM_TOPICS, Guards
 from dyknow.nodelet import leases
 from dyknow.ros.nodelets.announcements import TOPIC as NODES_TOPIC
 from dyknow.ros.wire.master import Master
@@ -699,6 +699,13 @@ class RefusalTest(CppCase):
             self.refused_for(set_config("/n", out="/" + 20 * "ä"), limit)
             limit = errors.LimitExceeded("entries in an array", 3, 2)
             self.refused_for(set_config_pairs("/n", *zip("abc", ("/a", "/b", "/c"))), limit)
+
+    def test_an_allow_list_need_not_name_topics_of_every_process(self):
+        with self.guarded(allowed_topics=(("/robot/*",),)):
+            why = "it matches no pattern of the allow list (allowed_topics)"
+            self.refused(set_config("/n", out="/x"), errors.Denied("topic '/x'", why))
+            for topic in sorted(SYSTEM_TOPICS):  # refused for their types, if at all
+                self.assertNotIn("allow list", set_config("/n", out=topic).message)
 
     def test_read_only(self):
         denied = errors.Denied(
