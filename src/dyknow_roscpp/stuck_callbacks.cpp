@@ -5,6 +5,7 @@
 
 #include <ros/param.h>
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 #include <mutex>
@@ -19,6 +20,8 @@ namespace
 {
 
 constexpr double STUCK_AFTER = 10.0;  // s
+/// What the clock can count, and what leaves time for other work.
+constexpr double LEAST = 0.01, MOST = 1e6;  // s
 /// Looks in that time: a callback is as old as the first look that saw it.
 constexpr int LOOKS = 4;
 
@@ -83,7 +86,8 @@ void watchCallbacks()
                  []
                  {
                    const double after = ros::param::param("~stuck_after", STUCK_AFTER);
-                   look(std::chrono::duration<double>(after > 0 ? after : STUCK_AFTER));
+                   look(std::chrono::duration<double>(after > 0 ? std::clamp(after, LEAST, MOST)
+                                                                : STUCK_AFTER));
                  });
 }
 

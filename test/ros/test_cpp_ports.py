@@ -939,6 +939,14 @@ class StuckTest(TellingCase):
         eventually(lambda: not details["/sink"][-1], 20.0, "its end is told")
         self.assertFalse(any(details["/source"]))
 
+    def test_a_callback_may_run_for_ever(self):
+        """What the process does later is done all the same."""
+        manager = self.enter(CppManager("/patient", *OURS, "_stuck_after:=inf"))
+        manager.load("Sink", "/sink", {"/in": "/a"})
+        self.addCleanup(manager.unload_all)
+        connect("/sink", **{"in": "/b"})
+        becomes(lambda: graph.nodes_on("/a")[1], set())
+
 
 class UnloadTest(CppCase):
     """A nodelet that is unloaded while its ports move."""
