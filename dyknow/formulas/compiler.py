@@ -375,7 +375,7 @@ def _truth(value: Any) -> int:
 
 
 def _norm(*values: Any) -> float:
-    """Return the length of a vector: of numbers, an array, or a message with x, y and z."""
+    """Return the length of a vector: of numbers, an array, or a message with x and y."""
     if len(values) == 1:
         (vector,) = values
         values = tuple(map(plain, vector)) if hasattr(vector, "__len__") else _components(vector)
@@ -383,8 +383,8 @@ def _norm(*values: Any) -> float:
 
 
 def _components(vector: Any) -> Tuple[Any, ...]:
-    names = [name for name in ("x", "y", "z", "w") if hasattr(vector, name)]
-    return tuple(plain(getattr(vector, name)) for name in names)
+    more = [name for name in ("z", "w") if hasattr(vector, name)]
+    return tuple(plain(getattr(vector, name)) for name in ("x", "y", *more))
 
 
 def _least(*values: float) -> float:

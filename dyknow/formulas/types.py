@@ -90,18 +90,28 @@ class TypeChecker:
             return "flag" if call.function == "present" else "number"
         for each in call.arguments:
             kind = self._kind_of(each)
-            is_array = bool(ARRAY.match(kind))
             if call.function == "len":
-                is_fit = is_array or kind in ("", "text")
+                is_fit = kind in ("", "text") or bool(ARRAY.match(kind))
+                fitting = "texts and arrays"
             elif call.function == "norm" and len(call.arguments) == 1:
-                is_fit = is_array or "/" in kind or not kind
+                is_fit = self._is_vector(kind)
+                fitting = "arrays of numbers, and messages with x and y"
             else:
-                is_fit = kind in ("", "number")
+                is_fit, fitting = kind in ("", "number"), "numbers"
             if not is_fit:
-                self._fail(
-                    call.place, f"{call.function} cannot be applied to '{each}', {_a(kind)}"
-                )
+                problem = f"{call.function} cannot be applied to '{each}', {_a(kind)}"
+                self._fail(call.place, f"{problem}: it takes {fitting}")
         return "number"
+
+    def _is_vector(self, kind: str) -> bool:
+        """Whether a kind is, or may be, an array of numbers or a message with x and y."""
+        array = ARRAY.match(kind)
+        if array is not None:
+            return _kind(array.group(1)) == "number"
+        if "/" not in kind:
+            return not kind
+        owner = self.lookup(kind)
+        return owner is None or {"x", "y"} <= owner.fields.keys()
 
     def _field(self, field: Union[tree.Field, Any]) -> str:
         """Follow the path of a field."""

@@ -75,6 +75,7 @@ def test_why_a_formula_is_false(formula: str, why: str) -> None:
         ("a.x[3] > 1", {"a": message(x=[1])}, "a.x[3]: no such value at 1"),
         ("1 / a.x > 1", {"a": message(x=0)}, "a.x = 0 at 1"),
         ("sqrt(a.x) > 1", {"a": message(x=-1.0)}, "a.x = -1 at 1"),
+        ("norm(a) < 1", {"a": message(z=7.0)}, "a = <SimpleNamespace> at 1"),
         ("min(a.x, 2) > 1", {"a": message(x=math.nan)}, "a.x = nan at 1"),
         ("a.x > 1", {"a": message(x="text")}, "a.x = 'text' at 1"),
         ("rate(a, 5 s) > 1", {"a": message()}, "rate(a, 5) = unknown"),

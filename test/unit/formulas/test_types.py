@@ -95,6 +95,8 @@ def test_what_fits(text: str) -> None:
         ("battery.location + 1 > 2", 1, "'+' takes numbers, but 'battery.location' is a text"),
         ("abs(battery.location) > 2", 1, "abs cannot be applied to 'battery.location', a text"),
         ("norm(battery.percentage) > 2", 1, "norm cannot be applied to 'battery.percentage'"),
+        ("norm(path) > 2", 1, "'path', a robot_msgs/Path: it takes arrays of numbers, and"),
+        ("norm(path.points) > 2", 1, "norm cannot be applied to 'path.points', an array"),
         ("len(battery.percentage) > 2", 1, "len cannot be applied to 'battery.percentage'"),
         (
             "battery.cells[0] == OTHR",
