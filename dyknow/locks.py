@@ -92,14 +92,6 @@ def state_condition(name: str, lock: Any = None) -> threading.Condition:
     return threading.Condition(lock or reentrant_state_lock(name))
 
 
-def module_lock() -> Any:
-    """Make a reentrant lock that is held while modules are executed, as Python's own is.
-
-    Modules do as they like under it, so it takes no part in the order.
-    """
-    return threading.RLock()
-
-
 def flag_lock() -> threading.Lock:
     """Make a lock that guards nothing: a flag that one thread takes and another one releases.
 

@@ -17,11 +17,12 @@ import dataclasses
 import importlib
 import importlib.util
 import sys
+import threading
 import types
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from typing import Any, Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 
-from dyknow.locks import module_lock
+from dyknow.locks import state_condition
 from dyknow.nodelet.loading.module_files import forget_bytecode, is_standard, package_spec
 from dyknow.periodic import current_frames
 
@@ -94,7 +95,7 @@ class Importer:
         self._blind = frozenset(blind)
         self._found: dict[str, bool] = {}
         self._found_on: tuple[str, ...] = ()
-        self._import_lock = module_lock()  # held while modules are executed, as Python's own
+        self._makers = _Makers()
         own = {**vars(builtins), **(functions or {})}
         self._seeing = {**own, "__import__": self._import_seeing}
         self._unseeing = {**own, "__import__": self._import_blindly}
@@ -236,34 +237,39 @@ class Importer:
         return not is_standard(top) and PathFinder.find_spec(top, folders) is not None
 
     def _load(self, name: str) -> Module:
-        with self._import_lock:
-            above, _, child = name.rpartition(".")
-            parent = self._load(above) if above and name not in self.modules else None
-            if name in self.modules:
-                return self.modules[name]
-            spec = None if name in self._views else self._spec(name, parent)
-            if name in self._views:
-                self.modules[name] = self._views[name]()
-            elif spec is None:
-                self.modules[name] = importlib.import_module(name)
-            else:
-                module = self.modules[name] = importlib.util.module_from_spec(spec)
-                if self._is_alone:
-                    sys.modules[name] = module
-                if parent is not None:
-                    setattr(parent, child, module)  # first: modules of a package may need it
-                try:
-                    self._execute(module, spec)
-                except BaseException:
-                    self.modules.pop(name, None)
-                    if self._is_alone:
-                        sys.modules.pop(name, None)
-                    if parent is not None:
-                        vars(parent).pop(child, None)
-                    raise
+        above, _, child = name.rpartition(".")
+        if above and name not in self.modules:
+            self._load(above)
+        if self._makers.claim(name, self.modules):
+            try:
+                self._make(name, self.modules.get(above), child)
+            finally:
+                self._makers.give_up(name)
+        return self.modules[name]
+
+    def _make(self, name: str, parent: Module | None, child: str) -> None:
+        spec = None if name in self._views else self._spec(name, parent)
+        if name in self._views:
+            self.modules[name] = self._views[name]()
+        elif spec is None:
+            self.modules[name] = importlib.import_module(name)
+        else:
+            module = self.modules[name] = importlib.util.module_from_spec(spec)
+            if self._is_alone:
+                sys.modules[name] = module
             if parent is not None:
-                setattr(parent, child, self.modules[name])
-            return self.modules[name]
+                setattr(parent, child, module)  # first: modules of a package may need it
+            try:
+                self._execute(module, spec)
+            except BaseException:
+                self.modules.pop(name, None)
+                if self._is_alone:
+                    sys.modules.pop(name, None)
+                if parent is not None:
+                    vars(parent).pop(child, None)
+                raise
+        if parent is not None:
+            setattr(parent, child, self.modules[name])
 
     def _spec(self, name: str, parent: Module | None) -> ModuleSpec | None:
         """Find the code of a module; None if it is to be that of the process."""
@@ -296,6 +302,49 @@ class Importer:
         is_blind = module.__name__.partition(".")[0] in self._blind
         module.__dict__["__builtins__"] = self._unseeing if is_blind else self._seeing
         exec(code, module.__dict__)
+
+
+class _Makers:
+    """Which thread makes which module; the others that import it wait, as in Python.
+
+    Where they would wait for each other, one of them goes on with the incomplete module.
+    """
+
+    def __init__(self) -> None:
+        self._changed = state_condition("makers of modules")
+        self._makers: dict[str, int] = {}
+        self._awaited: dict[int, str] = {}
+
+    def claim(self, name: str, made: Collection[str]) -> bool:
+        """Return whether this thread is to make a module, which may have to wait for others."""
+        me = threading.get_ident()
+        with self._changed:
+            while name in self._makers:
+                if self._awaits(name, me):
+                    return False
+                self._awaited[me] = name
+                try:
+                    self._changed.wait()
+                finally:
+                    del self._awaited[me]
+            if name in made:
+                return False
+            self._makers[name] = me
+            return True
+
+    def give_up(self, name: str) -> None:
+        with self._changed:
+            del self._makers[name]
+            self._changed.notify_all()
+
+    def _awaits(self, name: str | None, thread: int) -> bool:
+        """Whether a module waits for a thread, or for a module that does."""
+        while name in self._makers:
+            maker = self._makers[name]
+            if maker == thread:
+                return True
+            name = self._awaited.get(maker)
+        return False
 
 
 def _is_running(spaces: frozenset[int]) -> bool:

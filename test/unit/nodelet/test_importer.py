@@ -9,13 +9,15 @@ import importlib
 import json
 import os
 import sys
+import threading
 import time
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Callable, Dict, List
 
 import pytest
-from clocks import in_thread, join
+from clocks import Gate, in_thread, join, wait_for
 
 from dyknow.nodelet.loading.importer import Importer, View
 from dyknow.nodelet.loading.module_files import (
@@ -110,6 +112,32 @@ def test_imports_in_functions_and_threads_find_the_owners_modules(folder: Folder
     join(*[in_thread(lambda: heard.append(find())) for _ in range(4)])
     assert len(heard) == 4
     assert set(heard) == {importer.modules["sib_four"].word}, "it is imported once"
+
+
+def test_an_import_waits_for_no_other_module(folder: Folder) -> None:
+    path = folder(sib_slow="from gate import pass_\npass_()", sib_done="", sib_new="import time")
+    gate = Gate()
+    views = {"gate": lambda: View(time, {"pass_": gate}), "time": lambda: View(time, {})}
+    importer = script_importer(path, **views)
+    find = run(importer, "import sib_done\ndef find():\n import sib_done, sib_new")["find"]
+    slow = in_thread(lambda: importer.import_module("sib_slow"))
+    wait_for(gate.begun)
+    join(in_thread(find))
+    gate.open()
+    join(slow)
+    assert "sib_new" in importer.modules
+
+
+def test_modules_that_import_each_other_do_so_in_two_threads_too(folder: Folder) -> None:
+    meet = View(time, {"other": threading.Barrier(2).wait})
+    text = "from meet import other\nother()\nimport {}"
+    path = folder(sib_left=text.format("sib_right"), sib_right=text.format("sib_left"))
+    importer = script_importer(path, meet=lambda: meet)
+    join(
+        *[in_thread(partial(importer.import_module, f"sib_{each}")) for each in ("left", "right")]
+    )
+    left, right = vars(importer.modules["sib_left"]), vars(importer.modules["sib_right"])
+    assert left["sib_right"].__dict__ is right and right["sib_left"].__dict__ is left
 
 
 def test_packages_with_relative_and_circular_imports(folder: Folder) -> None:
