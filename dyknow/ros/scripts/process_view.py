@@ -189,18 +189,19 @@ def _signal(sandbox: Sandbox) -> View:
         handlers[number] = handler
         return before
 
-    def tell(reason: str) -> None:
+    def tell() -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
-            handler = handlers.pop(number, None)
+            handler = handlers.get(number)
             if callable(handler):
                 with contextlib.suppress(SystemExit):
                     handler(number, None)
+                return
 
     def pause() -> None:
         sandbox.waits()
         sandbox.closing.wait()
 
-    sandbox.hooks_after.append(tell)
+    sandbox.on_signal = tell
     return _partly_refused(
         sandbox,
         "signal",

@@ -50,6 +50,10 @@ _deferred: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 _is_deferring = False
 
 
+def _do_nothing() -> None:
+    """Do nothing."""
+
+
 def defer_in_finalizers() -> None:
     """Start the thread of ``outside_of_finalizers``; finalizers themselves must start none."""
     global _is_deferring
@@ -107,6 +111,7 @@ class Sandbox:
         settled: set when its main thread waits for the first time, or has ended.
         threads: the threads that its code started.
         on_refusal: called when a refused call ends a thread or a callback.
+        on_signal: called when others end its code, as a signal would.
         main: its main thread; None for libraries.
     """
 
@@ -129,6 +134,7 @@ class Sandbox:
         self.settled = threading.Event()
         self.threads: list[threading.Thread] = []
         self.on_refusal: Callable[[NeedsProcess], None] = lambda refusal: None
+        self.on_signal: Callable[[], None] = _do_nothing
         #: Shutdown hooks, by phase: on_shutdown, pre-shutdown and shutdown.
         self.hooks: list[Callable[[], None]] = []
         self.hooks_before: list[Callable[[str], None]] = []
@@ -172,7 +178,12 @@ class Sandbox:
             self.unload()
 
     def unload(self, why: str = "") -> None:
-        """Unload the nodelet, from a thread of its own, once its load is complete."""
+        """Unload the nodelet, from a thread of its own, once its load is complete.
+
+        ``why`` says, for the log, why the code has ended by itself.
+        """
+        if why:
+            self.on_signal = _do_nothing
         context = self.context
         if context is None:
             return
@@ -369,6 +380,7 @@ class Sandbox:
         for hooks in (self.hooks, self.hooks_before, self.hooks_after):
             hooks.clear()
         self.on_refusal = lambda refusal: None
+        self.on_signal = _do_nothing
         for thread in [each for each in self.threads if not each.is_alive()]:
             vars(thread).pop("run", None)
             vars(thread).pop("_callback", None)  # of a ``rospy.Timer``
@@ -393,7 +405,8 @@ class SandboxEnd(Closable):
 
     def in_order(self, patience: float = math.inf) -> None:
         """Shut it down with its hooks, which may sleep for ``patience`` seconds, and end it."""
-        self._sandbox.shut_down("unloaded", patience)
+        if self._sandbox.shut_down("unloaded", patience):
+            self._sandbox._attempt(self._sandbox.on_signal, "a handler of signals")
         if self._begun.acquire(False):
             self._end()
 

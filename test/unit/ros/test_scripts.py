@@ -147,6 +147,27 @@ class TestWhatConcernsTheProcess:
         scripts.load(f"{text}\nrospy.spin()")
         scripts.is_gone()
 
+    @pytest.mark.parametrize(
+        ("end", "called"),
+        [
+            ("", []),
+            ("rospy.signal_shutdown('enough')", []),
+            ("signal.raise_signal(signal.SIGINT)\nrospy.spin()", [2]),
+            ("script_witness.entered.set()\nrospy.spin()", [2]),
+        ],
+    )
+    def test_one_handler_is_called_if_a_signal_would_have_come(self, scripts, end, called):
+        scripts.witness.calls = []
+        scripts.load(
+            "import atexit, signal\natexit.register(script_witness.exited.set)\n"
+            "def stop(number, frame): script_witness.calls.append(number)\n"
+            "for each in (signal.SIGTERM, signal.SIGINT): signal.signal(each, stop)\n" + end
+        )
+        if scripts.witness.entered.is_set():
+            scripts.unload()
+        wait_for(scripts.witness.exited)
+        assert scripts.witness.calls == called
+
     def test_its_command_line_and_path_are_its_own(self, scripts, tmp_path):
         (tmp_path / "below").mkdir()
         (tmp_path / "below" / "beside.py").write_text("number = 5\n")
