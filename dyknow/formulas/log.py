@@ -16,7 +16,7 @@ from typing import Callable, Iterable, Iterator, List, NamedTuple, Sequence, Tup
 from dyknow.formulas import tree
 from dyknow.formulas.semantics import FALSE, NOT, TRUE, UNKNOWN, Trace, steps, truth, window
 
-_PATIENCE = 50_000  # most truths that are computed in order to explain one verdict
+_PATIENCE = 5_000  # most truths that are computed in order to explain one verdict
 
 
 class ChangedValue(NamedTuple):
