@@ -13,6 +13,7 @@ import atexit
 import contextlib
 import importlib
 import os
+import queue
 import signal
 import sys
 import threading
@@ -53,6 +54,7 @@ def process_views(sandbox: Sandbox) -> Views:
     if not sandbox.is_alone:
         views["threading"] = lambda: _threading(sandbox)
         views["time"] = lambda: View(time, {"sleep": sandbox.pause})
+        views["_queue"] = _queue
     return views
 
 
@@ -105,6 +107,13 @@ class _Sys(View):
 
     def __delattr__(self, name: str) -> None:
         delattr(sys, name) if self._sandbox.is_alone else super().__delattr__(name)
+
+
+def _queue() -> Module:
+    """Return ``_queue`` without its ``SimpleQueue``: that of ``queue`` waits by ``threading``."""
+    module = Module("_queue")
+    vars(module)["Empty"] = queue.Empty
+    return module
 
 
 def _threading(sandbox: Sandbox) -> View:

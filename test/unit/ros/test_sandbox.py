@@ -215,7 +215,7 @@ def test_everything_that_waits_for_a_condition_goes_on(monkeypatch):
 
 
 LIBRARY = """
-import atexit, threading, time
+import atexit, queue, threading, time
 import rospy
 import script_witness
 
@@ -241,6 +241,9 @@ def start(name):
             script_witness.ended.set()
     atexit.register(script_witness.exited.set)
     threading.Thread(target=run).start()
+
+def hungry():
+    queue.SimpleQueue().get()
 
 def wait_in_vain():
     script_witness.entered.set()
@@ -278,7 +281,7 @@ import ends_library, script_witness
 ends_library.start(script_witness.kind)
 raise ValueError("no camera")
 """
-KINDS = ["polite", "busy", "sleepy"]
+KINDS = ["polite", "busy", "sleepy", "hungry"]
 
 
 @pytest.fixture
