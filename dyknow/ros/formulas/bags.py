@@ -12,6 +12,7 @@ import rosbag
 
 from dyknow.errors import DyKnowError
 from dyknow.formulas import Monitor, Verdict
+from dyknow.ros.wire.message_classes import message_class
 from dyknow.similar import did_you_mean
 
 
@@ -42,10 +43,14 @@ class Bag:
         """
         with bag_errors(path):
             self._bag = rosbag.Bag(path)
-            found = self._bag.get_type_and_topic_info().topics
+            self._sums, found = self._bag.get_type_and_topic_info()
         #: The topics, with their types.
         self.datatypes = {topic: each.msg_type for topic, each in sorted(found.items())}
         self._path = path
+
+    def has_built(self, datatype: str) -> bool:
+        """Whether a message type is the one that is built here, not an earlier one of its name."""
+        return bool(self._sums[datatype] == getattr(message_class(datatype), "_md5sum", ""))
 
     def topic(self, port: str, given: Mapping[str, str]) -> str:
         """Return the topic of a port: the one that is given, or the one of its name.

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import pytest
+import rosbag
 from dyknow_msgs.msg import Model, Nodelet, StreamEvent, StreamStatus, Verdict
 from genpy import Time
+from genpy.dynamic import generate_dynamic
 from std_msgs.msg import Header
 from unit.cli.fake_client import Outcome, run
 
@@ -191,3 +193,14 @@ def test_holds_says_how_many_messages_came_too_late(client, tmp_path, options, l
     assert answer.code == 0
     told = f"{late} messages came too late for their states (--delay)"
     assert (told in answer.err) is (late > 0)
+
+
+def test_holds_checks_a_bag_with_the_types_that_it_defines(client, tmp_path):
+    fields = "float64 x\nfloat64 y\nfloat64 quality\n"
+    earlier = generate_dynamic("geometry_msgs/Point", fields)["geometry_msgs/Point"]
+    path = str(tmp_path / "earlier.bag")
+    with rosbag.Bag(path, "w") as bag:
+        bag.write("/p", earlier(1.0, 2.0, 0.5), Time(10))
+    assert run(client, f"holds 'p.quality < 1' --bag {path}").code == 0
+    told = run(client, f"holds 'p.z < 1' --bag {path}")
+    assert (told.code, "geometry_msgs/Point has no field 'z'" in told.err) == (1, True)
