@@ -35,7 +35,13 @@ from dyknow.manager.host import (
 )
 from dyknow.manager.specifications.values import value_of
 from dyknow.model.graph import NodeletKind, PortState
-from dyknow.model.transformation import NODE, Parameter, Program, Transformation
+from dyknow.model.transformation import (
+    FORMULA_CLASS,
+    NODE,
+    Parameter,
+    Program,
+    Transformation,
+)
 from dyknow.periodic import Workers
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.hosting.children import Children
@@ -67,6 +73,8 @@ _HAND_OVER_TIMEOUT = 20.0
 _COUNTS_PATIENCE = 0.5
 #: Seconds to wait, at the end, for a registration that is going on.
 _COUNTING_PATIENCE = 0.5
+#: A formula with the first of these parameters has the second: it asks this manager for them.
+_INDIVIDUALS, _MANAGER = "individuals", "manager"
 
 
 class RosHost(Host):
@@ -228,7 +236,10 @@ class RosHost(Host):
         # A hanging manager would load the nodelet when it goes on, so it is queried first.
         if request.name in self._list(peer):
             raise NameTaken(request.name)
-        self._set_parameters(request.name, request.parameters)
+        parameters = list(request.parameters)
+        if request.source == FORMULA_CLASS and _INDIVIDUALS in [each.name for each in parameters]:
+            parameters.insert(0, Parameter(_MANAGER, "string", self._master.caller))
+        self._set_parameters(request.name, parameters)
         peer.late.discard(request.name)
         peer.refused.discard(request.name)
         sources = sorted(request.remappings)
@@ -318,8 +329,9 @@ class RosHost(Host):
         return reconfigure(self._master, name, parameter)
 
     def forget(self, name: str, parameters: Sequence[str]) -> None:
+        own = [_MANAGER] * (_INDIVIDUALS in parameters)
         with contextlib.suppress(LookupError, PeerTimeout):  # no master
-            self._master.delete_parameters(name, parameters)
+            self._master.delete_parameters(name, [*parameters, *own])
 
     def reported(self, manager: str, name: str) -> Reported | None:
         peer = self._peer(manager)

@@ -14,7 +14,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, List, Set, cast
+from typing import Any, Dict, List, Set, cast
 from unittest import mock
 
 import pytest
@@ -28,6 +28,7 @@ from dyknow.manager.host import Crash, HostReport, LoadRequest
 from dyknow.manager.store import Store
 from dyknow.manager.supervision.suspects import MEMORY, Suspects
 from dyknow.model.graph import NodeletKind, State
+from dyknow.model.transformation import FORMULA_CLASS, Parameter
 from dyknow.ros.hosting import child_records, fixed_nodelets
 from dyknow.ros.hosting import children as children_module
 from dyknow.ros.hosting import host as host_module
@@ -287,6 +288,27 @@ def test_a_nodelet_whose_load_was_given_up_is_unloaded_until_that_succeeds(host,
     for _ in range(2):
         host.list("/m")
     assert calls.made == 2 * ["/m/unload_nodelet /late"]
+
+
+def test_a_formula_asks_the_manager_that_loads_it_for_individuals(host, calls, monkeypatch):
+    server: Dict[str, object] = {}
+
+    def delete(node, parameters):
+        for each in parameters:
+            del server[f"{node}/{each}"]
+
+    monkeypatch.setattr(host_module, "_REPORT_TIMEOUT", 0.0)
+    monkeypatch.setattr(host._master, "ask", lambda set_param, *given: server.update([given]))
+    monkeypatch.setattr(host._master, "delete_parameters", delete)
+    formula, tags = Parameter("formula", "string", "p"), Parameter("individuals", "yaml", "{}")
+    host.unload("/m", "/late")
+    host.load("/m", LoadRequest("/plain", FORMULA_CLASS, (formula,)), 1.0)
+    host.load("/m", LoadRequest("/every", FORMULA_CLASS, (formula, tags)), 1.0)
+    managers = {name: value for name, value in server.items() if name.endswith("/manager")}
+    assert managers == {"/every/manager": "/test"}
+    host.forget("/plain", ["formula"])
+    host.forget("/every", ["formula", "individuals"])
+    assert server == {}
 
 
 def test_one_of_that_name_that_another_client_loads_later_is_left_alone(host, calls):
