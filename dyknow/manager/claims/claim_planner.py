@@ -412,16 +412,18 @@ class ClaimPlanner:
     ) -> list[OwnNodelet]:
         """Return healthy nodelets to connect elsewhere for a claim, the preferred ones first.
 
-        These are its own, those that no claim needs, and described external nodes. Parts that
-        other claims share are among them, and have to go on supplying the same, unless these
-        claims exclude other labels or parts, have other wishes, or demand more. They are of the
-        ``known`` transformations; by default these are those of now.
+        These are its own, those that no claim needs, and described external nodes. Parts that claims with clients elsewhere share are among them, and have to go on
+        supplying the same, unless these claims exclude other labels or parts, have other wishes,
+        or demand more. They are of the ``known`` transformations; by default these are those of
+        now.
         """
         known, world = self.transformations() if known is None else known, self._world()
         sharing = [
             each
             for each in self._table.living
-            if each.claim_id != claim.claim_id and not each.wiring.keys().isdisjoint(claim.wiring)
+            if each.claim_id != claim.claim_id
+            and not (claim.topic and each.topic == claim.topic)
+            and not each.wiring.keys().isdisjoint(claim.wiring)
         ]
         needed = world.needed | self._lock.reserved
         idle = [name for name in world.records if name not in needed]

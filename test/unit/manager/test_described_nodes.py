@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Dict, Mapping
 
 import pytest
-from unit.manager.field import IMAGE, POINT, Field, library, transformation
+from unit.manager.field import IMAGE, POINT, Field, library, topic, transformation
 
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
 from dyknow.manager.record import Record
@@ -206,3 +206,27 @@ def test_it_is_used_once_all_of_its_ports_are_there(robot: Robot) -> None:
     robot.host.lazy.clear()
     robot.manager.look()
     assert robot.acquire().reused == ("/robot/where",)
+
+
+def add_topics(robot: Robot, *labels: str) -> None:
+    """Let the node that smooths images run, beside topics of ordinary nodes with images."""
+    robot.manager.add_transformation(STEREO)
+    for label in labels:
+        text = topic(f"{label} topic", f"/{label}", f"Image({label})", datatype=IMAGE)
+        robot.manager.remove_transformation(label)
+        robot.manager.add_transformation(text)
+        robot.host.topics.add(f"/{label}")
+    robot.run("/smooth", "robot/smooth", {"out": "/smoothed"})
+
+
+@pytest.mark.parametrize("clients", [1, 2])
+def test_all_clients_of_one_stream_follow_it_to_another_individual(
+    robot: Robot, clients: int
+) -> None:
+    add_topics(robot, "left", "right")
+    claims = [robot.acquire("Smooth(?camera)").claim for _ in range(clients)]
+    robot.settle()
+    robot.host.topics.discard("/left")
+    robot.settle()
+    robot.check_flows(*claims)
+    assert [each.bindings for each in robot.living()] == clients * [(("?camera", "right"),)]
