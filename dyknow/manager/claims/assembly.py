@@ -346,7 +346,9 @@ class Assembly(Transaction):
         """Whether a nodelet may leave the topic that it publishes on: no other part needs it."""
         if name in self.spawned or not topic:
             return True
-        if not self.world.records[name].claimed or topic in self._taken_topics():
+        record = self.world.records[name]
+        is_a_users = not record.claimed or (record.is_protected and name not in self._movable)
+        if is_a_users or topic in self._taken_topics():
             return False
         own = {*self._movable, *self.spawned}
         return not any(

@@ -412,7 +412,8 @@ class ClaimPlanner:
     ) -> list[OwnNodelet]:
         """Return healthy nodelets to connect elsewhere for a claim, the preferred ones first.
 
-        These are its own, those that no claim needs, and described external nodes. Parts that claims with clients elsewhere share are among them, and have to go on
+        These are its own, those that no claim needs and no user protects, and described external
+        nodes. Parts that claims with clients elsewhere share are among them, and have to go on
         supplying the same, unless these claims exclude other labels or parts, have other wishes,
         or demand more. They are of the ``known`` transformations; by default these are those of
         now.
@@ -426,7 +427,11 @@ class ClaimPlanner:
             and not each.wiring.keys().isdisjoint(claim.wiring)
         ]
         needed = world.needed | self._lock.reserved
-        idle = [name for name in world.records if name not in needed]
+        idle = [
+            name
+            for name, record in world.records.items()
+            if name not in needed and not record.is_protected
+        ]
         unfit = self._monitor.unfit(self._table.together(claim)).keys() | without
         left_out = unfit | {
             name

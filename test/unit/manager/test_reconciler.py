@@ -196,6 +196,30 @@ def test_a_protected_part_that_no_claim_needs_is_left_to_its_user(field: Field) 
     field.tidy()
 
 
+def test_a_protected_part_is_connected_by_its_user_alone(field: Field) -> None:
+    field.host.topics |= {"/left", "/right"}
+    for side in ("left", "right"):
+        field.manager.add_transformation(topic(side, f"/{side}", f"Image({side})"))
+    field.add("smooth", {"in": ("in", ["Image(?side)"]), "out": ("out", ["Smooth(?side)"])})
+    first = field.acquire("Smooth(left)").claim
+    name, _ = first.goal
+    field.manager.set_protection(name, True)
+    field.reconciler.release(first.claim_id)
+    field.settle()
+    mine = {"in": "/left", "out": "/mine"}
+    field.manager.connect([(name, mine)])
+    claim = field.flowing("Smooth(right)")
+    assert field.manager.graph.get(name).topics == mine
+
+    mine["in"] = "/right"  # it can be used as it is, where it is
+    field.manager.connect([(name, mine)])
+    field.host.vanish(claim.goal[0])
+    field.settle()
+    field.check_flows(claim)
+    assert name in field.claim(claim.claim_id).nodelets
+    assert field.manager.graph.get(name).topics == mine
+
+
 def test_a_topic_that_is_not_published_is_named(field: Field) -> None:
     field.host.topics.clear()
     with pytest.raises(NoPlanFound) as refusal:
