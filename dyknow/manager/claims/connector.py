@@ -195,6 +195,8 @@ class Transaction:
         self._connector = context.connector
         self.world = context.connector.world()  # the world after the latest change
         self.spawned: list[str] = []  # names of the nodelets that were made
+        #: Names of those, and of the nodelets that were connected elsewhere.
+        self.changed: set[str] = set()
         #: Label of the transformation of which no nodelet could be made; empty if there is none.
         self.failed_label = ""
         self._done: list[ReversibleStep] = []
@@ -233,6 +235,7 @@ class Transaction:
             raise
         self._done.append(step)
         self.spawned.append(name)
+        self.changed.add(name)
         self._connector.remember()
         self._connect_again(cut)
         self.world = self._connector.world()
@@ -257,6 +260,7 @@ class Transaction:
         undo = partial(self._reconnect, name, before)
         step = ReversibleStep(f"connecting '{name}'", name, connect, undo)
         self._done.append(step)  # without an answer it may have been done, too
+        self.changed.add(name)
         step.do()
         self._connect_again(cut)
         self.world = self._connector.world()

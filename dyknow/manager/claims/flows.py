@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import collections
 from dataclasses import dataclass, field
-from typing import Callable, Mapping, NamedTuple, Tuple
+from typing import AbstractSet, Callable, Iterable, Mapping, NamedTuple, Tuple
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.graph import Graph
@@ -221,6 +221,18 @@ class Stream:
         ]
         return [senders for senders in feeding if senders]
 
+    def fed_by(self, nodelets: Iterable[str]) -> set[str]:
+        """Return nodelets, and those of the stream that they feed."""
+        found, size = {*nodelets}, -1
+        while len(found) > size:
+            size = len(found)
+            found |= {
+                place[0]
+                for place in self.topics
+                if any(name in found for each in self.suppliers(place) for name, _ in each)
+            }
+        return found
+
     def ages(self, place: Place, flows: Flows) -> list[float]:
         """Known ages of the messages of a place since it was connected."""
         return flows[place].ages(self._connected) if place in flows else []
@@ -267,7 +279,7 @@ class FlowMeter:
         self._asked: dict[str, float] = {}
         self._listening: dict[str, Listening] = {}
 
-    def restart(self, names: set[str]) -> None:
+    def restart(self, names: AbstractSet[str]) -> None:
         """Judge nodelets that were connected elsewhere by their messages from now on."""
         for (name, _), flow in self.flows.items():
             if name in names:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Collection, Hashable, Iterable
+from typing import AbstractSet, Callable, Collection, Hashable, Iterable
 
 from dyknow.backoff import Backoff
 from dyknow.manager.claim import Claim
@@ -301,16 +301,19 @@ class StreamMonitor:
 
     # The first message
 
-    def restart(self, claim: Claim, rewired: Iterable[str] = ()) -> str:
+    def restart(self, claim: Claim, rewired: AbstractSet[str] | None = None) -> str:
         """Restart with a claim's stream that was changed just now; returns the claim's detail.
 
-        ``rewired`` are its nodelets that were connected elsewhere.
+        ``rewired`` are the nodelets that were connected elsewhere, if it was made again.
         """
-        rewired, now = set(rewired), self._clock()
-        self._meter.restart(rewired)
+        now = self._clock()
         stream = self._streams.setdefault(claim.claim_id, Stream(claim, now))
         stream.changed = now
-        if rewired:
+        if rewired is not None:
+            is_all = rewired >= claim.wiring.keys()
+            self._meter.restart(
+                rewired if is_all else stream.follow(claim, self._graph).fed_by(rewired)
+            )
             stream.connected(now)
         record, request = self._graph.find(claim.goal[0]), claim.request
         is_listened_to = any((request.max_silence, request.min_rate, request.max_age))

@@ -158,7 +158,7 @@ class Repair:
                 self._failed_label = assembly.failed_label
                 self._monitor.failed(assembly.failed_label)
             raise
-        detail = self._monitor.restart(made.claim, made.claim.wiring)
+        detail = self._monitor.restart(made.claim, assembly.changed)
         return replace(made, claim=replace(made.claim, detail=detail))
 
     # Restarts
@@ -172,7 +172,7 @@ class Repair:
         for claim_id in sorted(self._held - held):
             claim = self._table.find(claim_id)
             if claim is not None and claim.state is ClaimState.ACTIVE:
-                detail = self._monitor.restart(claim, claim.wiring)
+                detail = self._monitor.restart(claim, claim.wiring.keys())
                 self._table.change(claim_id, "a part of it was restarted", detail=detail)
         self._held = held
         return held

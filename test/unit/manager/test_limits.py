@@ -170,6 +170,19 @@ def test_an_ordinary_topic_can_be_at_fault(field: LimitField, limit: Limit) -> N
     assert not field.mended()
 
 
+def test_the_part_at_fault_is_replaced_while_other_clients_come_and_go(
+    field: LimitField, limit: Limit
+) -> None:
+    claim = field.flowing(**limit.request)
+    limit.spoil(field, field.parts()["detector"], 5)
+    for _ in range(30):
+        other = field.acquire("RelativePosition(ball)").claim
+        field.settle(0.5)
+        field.reconciler.release(other.claim_id)
+    assert field.parts()["detector"] == "/detector_2"
+    field.check_flows(claim)
+
+
 @pytest.mark.parametrize("limit", OF_FLOWS, indirect=True)
 @pytest.mark.parametrize("is_by_hand", [False, True])
 def test_clients_without_the_limit_go_on_with_the_part(
