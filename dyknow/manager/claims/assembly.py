@@ -132,6 +132,7 @@ class Assembly(Transaction):
                 claim = replace(claim, monitor=self._spawn_monitor(claim, goal))
         except BaseException:
             self.undo()
+            self._context.lock.free()  # another plan may use the same nodelets
             raise
         name = claim.goal[0]
         wiring, sources = self._upstream(name, *self._made.values())

@@ -239,6 +239,11 @@ class ClaimLock:
         if self._may_pause:
             self.reserved.update(names)
 
+    def free(self) -> None:
+        """Reserve nothing for the present request any more."""
+        if self._may_pause:
+            self.reserved.clear()
+
     @contextlib.contextmanager
     def pause(self) -> Iterator[bool]:
         """Let rounds pass while a request waits; returns whether they may, not so in a round.

@@ -141,7 +141,7 @@ class StreamReconciler:
                 made = self._repair.make(claim, answer, lenient=True)
                 reason = "; ".join(["replanned on request", *made.remarks])
                 changed = self._table.change(claim_id, reason, **made.changes)
-                self._lock.reserved.clear()  # it is made
+                self._lock.free()  # it is made
                 self._collector.clear_topics()
                 return replace(made, claim=changed or claim)
         raise self._refusal(claim, missing)

@@ -208,6 +208,16 @@ def test_it_is_used_once_all_of_its_ports_are_there(robot: Robot) -> None:
     assert robot.acquire().reused == ("/robot/where",)
 
 
+def test_a_second_plan_of_a_request_may_use_it(robot: Robot) -> None:
+    robot.host.sources["robot/wrong"] = [("out", "out", POINT)]
+    wrong = transformation("wrong", "robot/wrong", "out out", "out Image(left)", cost=0)
+    robot.manager.add_transformation(STEREO)
+    robot.manager.add_transformation(wrong)
+    robot.run("/smooth", "robot/smooth", {"out": "/smoothed"})
+    got = robot.acquire("Smooth(left)")
+    assert (got.spawned, got.reused) == (("/left_1",), ("/smooth",))
+
+
 def add_topics(robot: Robot, *labels: str) -> None:
     """Let the node that smooths images run, beside topics of ordinary nodes with images."""
     robot.manager.add_transformation(STEREO)
