@@ -63,7 +63,7 @@ def too_few(draft: Draft) -> NoPlan:
     graph, demand = draft.graph, draft.graph.request.demand
     actions = [graph.actions[each].base for each in graph.surplus(draft.order)]
     labels = sorted({each.label for each in actions if each in graph.request.scarce})
-    cause = f"no new nodelet of {_listed(labels)} is made now"
+    cause = f"no nodelet of {_listed(labels)} is free, and none is made now"
     return NoPlan(demand, (), False, obstacles=(Obstacle(demand, (cause,)),))
 
 
@@ -273,7 +273,7 @@ def _sentence(request: Request, demand: _Open, cause: int, alike: Sequence[_Alik
     if cause == _EXCLUDED:
         return f"{_listed(labels)} {'is' if len(labels) == 1 else 'are'} excluded"
     if cause == _PAUSED:
-        return f"no new nodelet of {_listed(labels)} is made now"
+        return f"no nodelet of {_listed(labels)} is free, and none is made now"
     if cause == _VERDICT:
         return f"a verdict that {_listed(labels)} requires is not TRUE"
     if cause == _RATE:

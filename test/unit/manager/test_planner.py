@@ -86,7 +86,7 @@ def test_a_nodelet_that_is_free_does_not_allow_another_one() -> None:
     ]
     free, paused = {"rectifier": [(("?c", "cam1"),)]}, {"rectifier"}
     assert plan(library, "Rect(cam1)", free=free, paused=paused).cost == 0
-    why = "no new nodelet of rectifier is made now"
+    why = "no nodelet of rectifier is free, and none is made now"
     answer = plan(library, "Rect(cam2)", free=free, paused=paused)
     assert str(answer) == f"no plan for Rect(cam2): Rect(cam2) cannot be used: {why}"
     answer = plan(library, "Depth", free={"rectifier": [()]}, paused=paused)

@@ -243,7 +243,9 @@ def test_what_must_not_be_used_is_named() -> None:
     excluded = refused("Image(nose)", camera, exclude=frozenset(("camera",)))
     assert excluded == "Image(nose) cannot be used: camera is excluded"
     paused = refused("Image(nose)", camera, paused=frozenset(("camera",)))
-    assert paused == "Image(nose) cannot be used: no new nodelet of camera is made now"
+    assert (
+        paused == "Image(nose) cannot be used: no nodelet of camera is free, and none is made now"
+    )
     stream = Live("/image", "out", "/camera_1", "camera", "")
     live = [(stream, (parse_tag("Image(nose)"),))]
     excluded = refused("Image(nose)", live=live, exclude=frozenset(("camera",)))
