@@ -134,6 +134,7 @@ class ClaimPlanner:
         return (
             self._manager.library.revision,
             self._manager.graph.revision,
+            self._world().users,
             self.published,
             self._monitor.signature,
         )

@@ -17,9 +17,11 @@ from dyknow.manager.claims.claim_planner import ClaimPlanner, OwnNodelet, is_cur
 from dyknow.manager.claims.connector import ClaimContext, timed_out
 from dyknow.manager.claims.garbage_collector import GarbageCollector
 from dyknow.manager.planning.problem import Answer, NoPlan, Obstacle, Plan, ways_to_meet
+from dyknow.manager.record import ports_on
 from dyknow.manager.specifications.tags import Bindings, written_bindings
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState
+from dyknow.model.transformation import OUT
 
 #: Times that a stream is planned because parts of it went while it was being made.
 _ATTEMPTS = 3
@@ -279,14 +281,27 @@ class Repair:
         changes: dict[str, Any] = {"state": state, "detail": detail}
         if state is ClaimState.PENDING and claim.is_made:
             if self._collector.take_apart(claim):
-                own = {each.name for each in self._planner.own(claim)}
-                wiring: dict[str, dict[str, str]] = {name: {} for name in own & set(claim.wiring)}
+                wiring: dict[str, dict[str, str]] = {name: {} for name in self._kept(claim)}
                 changes.update(wiring=wiring, goal=("", ""), sources=(), bindings=(), monitor="")
             else:
                 still = "but a part of it cannot be disconnected yet"
                 changes.update(state=ClaimState.FAILED, detail=f"{detail}; {still}")
                 self._unplannable.pop(claim.claim_id, None)  # it is tried again
         self._table.change(claim.claim_id, fault.what, **changes)
+
+    def _kept(self, claim: Claim) -> set[str]:
+        """Nodelets that a claim without a stream keeps for itself.
+
+        An external node is left to others, unless the clients listen where it publishes.
+        """
+        records = [self._graph.find(each.name) for each in self._planner.own(claim)]
+        return {
+            record.name
+            for record in records
+            if record is not None
+            and record.name in claim.wiring
+            and (record.claimed or ports_on(record, OUT, claim.topic))
+        }
 
     @property
     def pause_ends(self) -> float:

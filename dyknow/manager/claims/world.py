@@ -163,6 +163,11 @@ class World:
         return frozenset([name for claim in self.claims for name in claim.wiring])
 
     @cached_property
+    def users(self) -> tuple[tuple[str, frozenset[str]], ...]:
+        """Claims that are made of nodelets, with these."""
+        return tuple([(e.claim_id, frozenset(e.wiring)) for e in self.claims if e.wiring])
+
+    @cached_property
     def wires(self) -> frozenset[Wire]:
         """Connections that claims need."""
         return frozenset(wires_of(self.claims))

@@ -14,6 +14,7 @@ from unit.manager.field import IMAGE, POINT, Field, library, topic, transformati
 from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
 from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, SpawnRequest
+from dyknow.model.streams import ClaimState
 
 CAMERA = """<transformation type="node" node="/robot/camera"><label>driver</label>
   <ports><port type="out">image</port></ports>
@@ -240,3 +241,23 @@ def test_all_clients_of_one_stream_follow_it_to_another_individual(
     robot.settle()
     robot.check_flows(*claims)
     assert [each.bindings for each in robot.living()] == clients * [(("?camera", "right"),)]
+
+
+@pytest.mark.parametrize("tag", ["Smooth(left)", "View(left)"])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_claim_waits_no_longer_than_another_one_needs_it(
+    robot: Robot, tag: str, is_there: bool
+) -> None:
+    add_topics(robot, "left", "right")
+    robot.add("view", {"in": ("in", ["Smooth(left)"]), "out": ("out", ["View(left)"])})
+    first = robot.flowing(tag)
+    with pytest.raises(NoPlanFound, match="no nodelet of smooth is free") as refused:
+        robot.acquire("Smooth(right)")
+    if not is_there:
+        robot.host.topics.discard("/left")
+    robot.settle()
+    is_left = not is_there and tag == "View(left)"  # not to a client that listens to it
+    assert (robot.state(refused.value.claim_id) is ClaimState.ACTIVE) == is_left
+    robot.reconciler.release(first.claim_id)
+    robot.settle()
+    robot.check_flows(robot.claim(refused.value.claim_id))
