@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow.datatypes import ANY
-from dyknow.errors import HostError, StreamTypeMismatch
+from dyknow.errors import DyKnowError, HostError, StreamTypeMismatch
 from dyknow.formulas import parse
 from dyknow.manager.claim import STREAM, Claim, demand_of
 from dyknow.manager.claims.connector import ClaimContext
@@ -169,16 +169,18 @@ class ClaimPlanner:
         """
         moment = self.signature(), self._table.living
         situation = self.situation(claim, avoid, without)
-        answer = stamped = self._found(situation, lenient)
+        answer = fitting = self._found(situation, lenient)
         if isinstance(answer, NoPlan):
             answer = self._unavailable(claim, situation, without) or answer
         refused = NO_LABELS
-        while isinstance(stamped, Plan):
-            unstamped = self._unstamped_type(claim, stamped)
-            if not unstamped:
-                return Proposal(situation, stamped, moment)
-            refused |= {unstamped}
-            stamped = self._found(situation._replace(refused=refused), lenient)
+        while isinstance(fitting, Plan):
+            try:
+                self.check_goal(claim, fitting)
+            except DyKnowError:
+                refused |= {self._type_of_goal(fitting)}
+                fitting = self._found(situation._replace(refused=refused), lenient)
+            else:
+                return Proposal(situation, fitting, moment)
         return Proposal(situation, answer, moment)
 
     def _found(self, situation: Situation, lenient: bool) -> Answer:

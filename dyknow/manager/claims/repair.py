@@ -199,7 +199,7 @@ class Repair:
         situation = (self._planner.signature(), fault.what, requests)
         if self._unplannable.get(claim_id) == situation:
             return
-        answer = self._proposed(claim)
+        answer = self._checked(claim, self._proposed(claim))
         if isinstance(answer, NoPlan):
             self._unplannable[claim_id] = situation
             self._give_up(claim, fault, answer)
@@ -224,6 +224,16 @@ class Repair:
         _, part, label, plan = min(found, key=itemgetter(0, 1))
         self._monitor.blame(claim, part, label)
         return plan
+
+    def _checked(self, claim: Claim, answer: Answer) -> Answer:
+        """Refuse a plan whose stream is known to have another type than the claim needs."""
+        if isinstance(answer, Plan):
+            try:
+                self._planner.check_goal(claim, answer)
+            except DyKnowError as error:
+                obstacle = Obstacle(claim.demand, (str(error),))
+                return NoPlan(claim.demand, (), False, obstacles=(obstacle,))
+        return answer
 
     def _mend(self, claim: Claim, fault: Fault, plan: Plan) -> None:
         claim_id = claim.claim_id

@@ -17,6 +17,7 @@ from property_tests import examples
 from unit.manager.field import CHAIN, FIRST_MESSAGE, IMAGE, POINT, Field, topic, transformation
 
 from dyknow.errors import BadParameter, NoPlanFound, StreamTypeMismatch
+from dyknow.formulas.types import MessageType
 from dyknow.manager.claims.requirements import topic_of_verdicts
 from dyknow.manager.planning.planner import Planner
 from dyknow.model.graph import State
@@ -507,6 +508,30 @@ def provide(field: LimitField, label: str, *ports: Port) -> None:
     """Add a transformation, whose ports state their types, and its nodelet type."""
     field.host.sources[f"lab/{label}"] = [port[:3] for port in ports]
     field.manager.add_transformation(Transformation(label, f"lab/{label}", ports=ports).to_xml())
+
+
+@pytest.mark.parametrize(
+    ("needed", "why"),
+    [
+        ({"max_age": AGE}, "a type that begins with a header"),
+        ({"require": "it.x > 0"}, f"{POSE} has no field 'x'"),
+    ],
+)
+def test_a_waiting_claim_starts_no_source_of_a_wrong_type(
+    field: LimitField, needed: Dict[str, Any], why: str
+) -> None:
+    field.host.unstamped.add(POSE)
+    field.manager.library.types = {POSE: MessageType(POSE, {}, frozenset())}.get
+    with pytest.raises(NoPlanFound) as refused:
+        field.acquire("Pose(robot)", **needed)
+    provide(field, "robot", Port("pose", "out", POSE, ("Pose(robot)",)))
+    field.settle()
+    assert ("load", "/robot_1") not in field.host.calls
+    claim = field.claim(refused.value.claim_id)
+    assert claim.state is ClaimState.PENDING and why in claim.detail
+    provide(field, "head", Port("pose", "out", POINT, ("Pose(robot)",)))
+    field.settle()
+    field.check_flows(field.claim(claim.claim_id))
 
 
 def test_a_stamped_port_is_found_beside_one_without_a_stamp(field: LimitField) -> None:
