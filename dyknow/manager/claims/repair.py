@@ -195,6 +195,9 @@ class Repair:
                 whole = {"state": ClaimState.ACTIVE, "detail": self._monitor.restart(claim)}
                 self._table.change(claim_id, "it is whole again", **whole)
             return
+        waiting = claim
+        if not claim.topic:
+            claim = replace(claim, topic=self._planner.common_topic(claim))
         requests = tuple([each.request for each in self._table.together(claim)])
         situation = (self._planner.signature(), fault.what, requests)
         if self._unplannable.get(claim_id) == situation:
@@ -202,7 +205,7 @@ class Repair:
         answer = self._checked(claim, self._proposed(claim))
         if isinstance(answer, NoPlan):
             self._unplannable[claim_id] = situation
-            self._give_up(claim, fault, answer)
+            self._give_up(waiting, fault, answer)
         elif self._failures.allows(claim_id):
             self._mend(claim, fault, answer)
 

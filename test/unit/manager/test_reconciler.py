@@ -291,6 +291,17 @@ def test_a_claim_waits_for_a_transformation_and_for_a_nodelet_made_by_hand(field
 # Several claims
 
 
+def test_claims_that_wait_for_one_stream_share_its_topic() -> None:
+    field = Field(library="")
+    for _ in range(3):
+        with pytest.raises(NoPlanFound):
+            field.acquire("YUV(field)")
+    field.manager.add_transformation(LIBRARY)
+    field.settle()
+    assert {each.topic for each in field.living()} == {"/bottom_camera_1/image"}
+    field.check_flows(*field.living())
+
+
 def test_an_excluded_part_does_not_come_to_a_claim_through_others(field: Field) -> None:
     picky = field.acquire(exclude=("ceiling camera",)).claim
     easy = field.acquire("RelativePosition(ball)").claim
