@@ -137,7 +137,7 @@ class GarbageCollector:
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
         now, world = self._context.clock(), self._world()
-        names = world.idle(self._lock.reserved)
+        names = world.idle(frozenset())
         records = reversed([*world.records.values()])
         idle = {record.name: record for record in records if record.name in names}
         self._idle_since = {name: self._idle_since.get(name, now) for name in idle}
@@ -145,7 +145,8 @@ class GarbageCollector:
         for name, record in idle.items():
             linger = 0.0 if name in unfit else _LINGER
             is_over = now - self._idle_since[name] >= linger
-            if is_over and record.state in (State.RUNNING, State.FAILED):
+            is_free = name not in self._lock.reserved
+            if is_over and is_free and record.state in (State.RUNNING, State.FAILED):
                 self._try(record, partial(self._context.manager.lifecycle.destroy, name))
 
     def _disconnect(self, record: Record, ports: Iterable[str]) -> bool:

@@ -88,6 +88,17 @@ def test_a_waiting_request_loses_no_part_by_time(field: Field, is_idle: bool) ->
     field.check_flows(acquired.claim)
 
 
+def test_an_idle_part_goes_although_requests_keep_coming(field: Field) -> None:
+    idle = field.acquire("YUV(field)").claim
+    field.reconciler.release(idle.claim_id)
+    for number in range(int(LINGER) + 1):
+        field.add(f"view {number}", {"out": ("out", [f"View(v{number})"])})
+        with meanwhile(field, f"/view_{number}_1", field.tick):
+            field.acquire(f"View(v{number})")
+        field.tick(1.0)
+    assert "/bottom_camera_1" not in field.host.running
+
+
 def test_the_claim_of_a_request_is_left_to_the_request(field: Field) -> None:
     claim = field.acquire(GOAL).claim
     field.manager.add_transformation(CHEAP)
