@@ -39,9 +39,9 @@ from dyknow.simulated.host import FakeHost
 class SimulatedHost(FakeHost):
     """Runs nodelets of every source: they have the ports that transformations declare."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = STEADY) -> None:
         """Know the relay, which claims may need."""
-        super().__init__({"dyknow/Relay": (("in", IN, "*"), ("out", OUT, "*"))})
+        super().__init__({"dyknow/Relay": (("in", IN, "*"), ("out", OUT, "*"))}, clock.now)
 
     def learn(self, transformations: Iterable[Transformation]) -> None:
         """Take the ports of sources from their transformations."""
@@ -105,7 +105,7 @@ class SimulatedManagerClient(BaseManagerClient):
         ``now`` returns the seconds on the clock of those who read when a lease ends.
         """
         self.manager = "/dyknow_manager"
-        self.host = host or SimulatedHost()
+        self.host = host or SimulatedHost(clock)
         self.is_up = True
         self.answers = threading.Event()
         self.answers.set()
@@ -118,7 +118,7 @@ class SimulatedManagerClient(BaseManagerClient):
         self.on_event: Callable[[StreamEvent], None] = lambda event: None
         self._turn = turn_lock("simulated manager")
         self._altered: dict[str, dict[str, object]] = {}
-        self._start = time.monotonic()
+        self._start = clock.now()
         store = Store(":memory:")
         self._loop = ControlLoop(clock=clock)
         graph = Graph(store, clock, self._on_change)
@@ -232,14 +232,14 @@ class SimulatedManagerClient(BaseManagerClient):
 
     def get_statistics(self, nodelet: str) -> NodeletStatistics:
         with self._request("get_statistics", nodelet):
-            age = time.monotonic() - self._start
+            age = self._clock.now() - self._start
             ports = tuple(self._port(nodelet, port, age) for port in self._ports(nodelet))
             return NodeletStatistics(age, 0, 0, ports)
 
     def counts(self) -> tuple[NodeletCount, ...]:
         """Return the counts of all nodelets that run, as the manager's node publishes them."""
         with self._request("counts"):
-            age, found = time.monotonic() - self._start, []
+            age, found = self._clock.now() - self._start, []
             for name in self.host.running:
                 ports = [self._port(name, port, age) for port in self.host.ports(name)]
                 counts = {

@@ -30,7 +30,6 @@ class Life:
     def __init__(self, **request: float) -> None:
         self.clock = SimulatedClock()
         self.client = SimulatedManagerClient(clock=self.clock)
-        self.client.host.clock = self.clock.now
         self.client.add_transformation(LIBRARY)
         self.events: List[Tuple[float, ClaimState]] = []
         self.client.on_event = lambda event: self.events.append(
@@ -43,6 +42,7 @@ class Life:
 def test_a_silent_part_is_replaced_as_soon_as_its_claim_says() -> None:
     life = Life(max_silence=0.4)
     life.client.advance(10.0)
+    assert life.client.get_statistics("/camera_1").uptime == 10.0
     life.client.host.silent.add("pkg/Camera")
     silent = life.clock.time
     life.client.advance(3.0)
