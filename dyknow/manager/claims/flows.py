@@ -272,6 +272,7 @@ class FlowMeter:
         self._graph = graph
         self._clock = clock
         self._running = running
+        self._paused = clock() - running()  # seconds for which this process had not run
         self.flows: dict[Place, Flow] = {}  # the flow of each place that was counted
         #: Nodelets that do not answer, with all nodelets of a process that hangs.
         self.unresponsive: frozenset[str] = frozenset()
@@ -288,6 +289,11 @@ class FlowMeter:
 
     def read(self, wanted: Mapping[Place, Watch]) -> None:
         """Count where a count is due; flows of other places are forgotten."""
+        now = self._clock()
+        paused = now - self._running()
+        for each in self.flows.values():  # nothing could send while all stood still
+            each.quiet_from = min(now, each.quiet_from + paused - self._paused)
+        self._paused = paused
         records, wanted = self._graph.records, dict(wanted)
         # An unresponsive nodelet is polled until it answers, whether a claim needs it or not.
         for name in self.unresponsive & self._unanswered.keys():

@@ -131,6 +131,7 @@ class Field:
         self.host.topics.add("/joint_states")
         self.path = path
         self.by_hand: Dict[str, bool] = {}
+        self.paused = 0.0  # seconds for which everything stood still
         self.moving: set[str] = set()
         self.ended: set[str] = set()
         self.claim_topics: Dict[str, str] = {}
@@ -148,6 +149,7 @@ class Field:
         self.reconciler = open_reconciler(
             ManagerContext(host, store, library, graph, clock=self.clock),
             self.sleep,
+            lambda: self.now - self.paused,
             on_event=lambda event: self.on_event(event),
         )
         self.manager = self.reconciler.manager
@@ -168,6 +170,11 @@ class Field:
     def sleep(self, seconds: float) -> None:
         self.clock.time += seconds
         self.moving = self.host.flow()
+
+    def pause(self, seconds: float) -> None:
+        """Let everything stand still, as when a virtual machine is paused."""
+        self.clock.time += seconds
+        self.paused += seconds
 
     # Actions of users
 

@@ -138,6 +138,20 @@ def test_a_nodelet_that_was_stopped_is_not_silent_when_it_goes_on(field: Field) 
     assert field.living()[0].state is ClaimState.ACTIVE
 
 
+def test_no_silence_is_counted_while_everything_stands_still(field: Field) -> None:
+    field.host.dividers["soccer/Camera"] = 5  # one message a second
+    claim = field.flowing("YUV(field)", max_silence=2.5)
+    for _ in range(5):
+        field.settle(1.3)
+        field.pause(10.0)
+    assert not field.mended()
+    field.host.silent.add("/bottom_camera_1")
+    for _ in range(4):
+        field.settle(1.3)
+        field.pause(10.0)
+    assert field.claim(claim.claim_id).nodelets == ("/bottom_camera_2",)
+
+
 # The first message
 
 
