@@ -16,7 +16,7 @@ from dyknow.manager.bodies import pack, read_fields, unpack
 from dyknow.manager.specifications.given import bindings_of, set_on_load
 from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.graph import NodeletKind, NodeletStatus, PortState, State, moved_ports
-from dyknow.model.transformation import Parameter, Port, Transformation
+from dyknow.model.transformation import IN, Parameter, Port, Transformation
 
 
 class Heard(NamedTuple):
@@ -65,6 +65,8 @@ class Record:
     host: str = ""  # its machine, as ROS names it
     pinned: str = ""  # the machine that its spawn named, where it is for life; empty for any
     heard: Heard = NOTHING_HEARD  # values of its variables in its messages
+    #: Ports that claims have disconnected, and the topics where users had connected them.
+    cut: Tuple[Tuple[str, str], ...] = ()
     awaited: Tuple[str, ...] = ()  # declared ports that it has not made yet, or not at present
     #: A text that differs when its files do, as they were when it was loaded; empty if unknown.
     code: str = ""
@@ -88,8 +90,8 @@ class Record:
 
     @property
     def is_stored(self) -> bool:
-        """Whether it outlives the manager: an external node only if it has received messages."""
-        return self.is_spawned or bool(self.is_described and self.heard.ways)
+        """Whether it outlives the manager: an external node only with what nothing else shows."""
+        return self.is_spawned or bool(self.is_described and (self.heard.ways or self.cut))
 
     @property
     def is_ending(self) -> bool:
@@ -137,7 +139,7 @@ class Record:
     def body(self) -> str:
         """Return its stored form, as JSON."""
         body = {name: getattr(self, name) for name in _STORED}
-        for name in ("heard", "code", "pinned", "superseded"):
+        for name in ("heard", "cut", "code", "pinned", "superseded"):
             if body[name] == getattr(Record, name):  # the default
                 del body[name]  # earlier versions do not read it
         body["transformation"] = pack(self.transformation) if self.transformation else None
@@ -217,8 +219,27 @@ def awaited_ports(record: Record, ports: Iterable[PortState]) -> Tuple[str, ...]
 def with_present_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     """Return a record with the ports of a proxy, whose topics are desired from now on."""
     seen, awaited = seen_ports(record, ports), awaited_ports(record, ports)
-    record = replace(record, ports=seen, awaited=awaited)
+    connected = {port.name for port in seen if port.topic}
+    cut = tuple(each for each in record.cut if each[0] not in connected)
+    record = replace(record, ports=seen, awaited=awaited, cut=cut)
     return replace(record, topics=topics_of(record))
+
+
+def cut_since(before: Record, after: Record) -> Tuple[Tuple[str, str], ...]:
+    """Return the ports that a claim's change has left disconnected, and their topics before that.
+
+    Those that claims connect as they need them are not among them.
+    """
+    if before.claimed:
+        return ()
+    topics = {
+        port.name: port.topic
+        for port in before.ports
+        if port.topic and not (before.is_described and port.direction == IN and port.tags)
+    }
+    connected = {port.name for port in after.ports if port.topic}
+    known = sorted({**dict(before.cut), **topics}.items())
+    return tuple(each for each in known if each[0] not in connected)
 
 
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:

@@ -22,7 +22,13 @@ from dyknow.manager.claims.ends import ends_of
 from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.world import Config, World
 from dyknow.manager.manager import Manager
-from dyknow.manager.record import NOTHING_HEARD, Record, seen_ports, with_present_ports
+from dyknow.manager.record import (
+    NOTHING_HEARD,
+    Record,
+    cut_since,
+    seen_ports,
+    with_present_ports,
+)
 from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import SpawnRequest, State
@@ -156,6 +162,7 @@ class Connector:
             )
             topics = {**record.topics, **config}
             after = replace(record, topics=topics, ports=seen_ports(record, ports))
+            after = replace(after, cut=cut_since(record, after))
             if ends_of(after).listening != record.heard.topics:
                 after = replace(after, heard=NOTHING_HEARD)
             self._graph.put(after)
@@ -271,7 +278,7 @@ class Transaction:
         They stay disconnected if they do not fit together by then.
         """
         self.connect(name, dict.fromkeys(ports, ""))
-        self._connect_if_fitting(self._graph.records[name], ports)
+        self.connect_if_fitting(self._graph.records[name], ports)
 
     def undo(self) -> None:
         """Undo everything, the latest change first; nodelets that claims use by now stay.
@@ -335,9 +342,10 @@ class Transaction:
         for name, ports in cut.items():
             record = self._graph.find(name)
             if record is not None and not record.claimed:
-                self._connect_if_fitting(record, ports)
+                self.connect_if_fitting(record, ports)
 
-    def _connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
+    def connect_if_fitting(self, record: Record, ports: Mapping[str, str]) -> None:
+        """Connect ports of a nodelet, unless that must not be at present."""
         fits = self._connector.world().fitting(replace(record, topics={**record.topics, **ports}))
         if all(fits.get(port) == topic for port, topic in ports.items()):
             self.connect(record.name, ports)

@@ -134,6 +134,15 @@ class GarbageCollector:
                     replaced = [port for _, port, _ in sorted(wires)]
                     self._disconnect(record, ports if is_ours else replaced)
 
+    def give_back(self) -> None:
+        """Connect the ports of users that claims have cut, on topics without a client by now."""
+        taken = {claim.topic for claim in self._table.living}
+        for record in self._world().records.values():
+            for port, topic in record.cut:
+                if topic not in taken and self._is_reachable(record):
+                    connect = Transaction(self._context).connect_if_fitting
+                    self._try(record, partial(connect, record, {port: topic}))
+
     def collect(self) -> None:
         """Destroy nodelets that were made for claims and that no claim has needed for a while."""
         now, world = self._context.clock(), self._world()

@@ -235,7 +235,7 @@ class StreamReconciler:
     # Reconciling
 
     def work(self) -> float | None:
-        """Reconcile while there are claims, or nodelets of claims.
+        """Reconcile while there are claims, nodelets of claims, or ports to give back.
 
         One more round follows the end of the last claim, and releases its nodelets. Returns the
         seconds until the next round; None for the next change.
@@ -251,7 +251,7 @@ class StreamReconciler:
 
     def _has_work(self) -> bool:
         return bool(self._table.living) or any(
-            record.claimed for record in self.manager.graph.all()
+            record.claimed or record.cut for record in self.manager.graph.all()
         )
 
     def reconcile(self) -> None:
@@ -277,6 +277,7 @@ class StreamReconciler:
                 attempt(f"claim {claim.claim_id}", repair, _log)
             self._repair.follow_bindings()
             self._collector.clear_topics()
+            self._collector.give_back()
             self._collector.collect()
             self._cheaper_plans.report()
             self._monitor.report()

@@ -133,8 +133,10 @@ def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) ->
     robot.settle()
     assert robot.topics("/robot/camera") == {"camera_info": "/info"}
 
+    robot.kill_manager()
     robot.reconciler.release(claim.claim_id)
     robot.tidy()
+    assert robot.topics("/robot/camera") == {"camera_info": "/info", "image": "/image"}
 
 
 def test_a_node_that_does_not_run_is_named(robot: Robot) -> None:

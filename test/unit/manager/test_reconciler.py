@@ -168,6 +168,40 @@ def test_a_part_that_is_back_leaves_its_topic_to_another(field: Field, is_restar
     field.check_flows(claim)
     assert field.manager.graph.get("/mine").state is State.RUNNING
 
+    field.reconciler.release(claim.claim_id)
+    field.host.hang(manager)
+    field.tidy()
+    if is_restarted:
+        field.kill_manager()
+    field.host.wake(manager)
+    for _ in range(5):
+        field.sleep(1.0)
+        field.manager.look()
+        field.reconciler.work()
+    assert field.host.publishers(claim.topic) == ["/mine"]
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_a_port_that_was_cut_comes_back_unless_its_user_has_moved_it(
+    field: Field, is_moved: bool
+) -> None:
+    for side in ("left", "right"):
+        field.manager.add_transformation(topic(side, f"/{side}", f"Image({side})"))
+        field.host.topics.add(f"/{side}")
+    field.add("smooth", {"in": ("in", ["Image(?side)"]), "out": ("out", ["Smooth(?side)"])})
+    field.add("viewer", {"in": ("in", ["Smooth(left)"])})
+    claim = field.flowing("Smooth(?side)")
+    field.spawn("viewer", "/viewer", config={"in": claim.topic})
+    field.host.topics.discard("/left")
+    field.settle()
+    field.check_flows(claim)
+    assert field.host.nodelet("/viewer").ports["in"].topic == ""
+    for moved in ("/other", "") if is_moved else ():
+        field.manager.connect([("/viewer", {"in": moved})])
+    field.reconciler.release(claim.claim_id)
+    field.tidy()
+    assert field.host.nodelet("/viewer").ports["in"].topic == ("" if is_moved else claim.topic)
+
 
 def test_parts_that_users_destroy_or_protect(field: Field) -> None:
     field.spawn("bottom camera", "/camera", config={"image": "/camera/image"})
