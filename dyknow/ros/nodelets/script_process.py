@@ -36,7 +36,7 @@ from dyknow.ros.nodelets.nodelet_manager import NodeletManager, Settings
 from dyknow.ros.nodelets.process_guards import SPAWNED
 from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process.node_process import init_node, log_without_the_master
-from dyknow.ros.process.signals import on_signals
+from dyknow.ros.process.signals import keep_waits_steady, on_signals
 from dyknow.ros.scripts.sandbox import Sandbox, join_all
 from dyknow.ros.scripts.script import NodeArguments, ScriptCode
 from dyknow.ros.scripts.script_ports import ScriptHandle
@@ -172,6 +172,7 @@ class _ScriptProcess:
         if threading.current_thread() is not threading.main_thread():
             return
         on_signals(_SIGNALS, self._stop)
+        keep_waits_steady()
 
     def _have_no_node(self) -> None:
         """Begin without a node; a forked child leaves it to the parent.

@@ -40,7 +40,13 @@ from dyknow.nodelet.loading.memory import use_one_heap
 from dyknow.nodelet.middleware import Closable
 from dyknow.periodic import in_background
 from dyknow.ros.process import descriptors
-from dyknow.ros.process.signals import DONE, FAILED, INTERRUPTED, on_signals
+from dyknow.ros.process.signals import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    keep_waits_steady,
+    on_signals,
+)
 
 #: Seconds for a start that is going on to be complete, so that it can be closed.
 _START_PATIENCE = 2.0
@@ -108,6 +114,7 @@ class NodeProcess:
     def run(self) -> int:
         """Run, and return the exit code."""
         on_signals((signal.SIGINT, signal.SIGTERM), self.end)
+        keep_waits_steady()
         starting = in_background("start", self._begin)
         order = self._told.get()
         if order is _Order.START_AGAIN:

@@ -15,6 +15,7 @@ import _thread
 import contextlib
 import os
 import signal
+import sys
 import threading
 import time
 from typing import Any, Callable, Iterable, Iterator
@@ -33,6 +34,10 @@ INTERRUPTED = 130
 #: Signals that end a command as SIGINT does, from a supervisor and from a terminal that is closed.
 ENDING = (signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.05  # s
+#: Seconds between two looks at the system's clock, and the least step back that is acted on.
+_LOOK, _STEP = 0.25, 0.1
+#: Ignored unless it is handled; no part of ROS uses it.
+_NUDGE = signal.SIGURG
 #: Set when `raise_interrupt` raises; cleared when that is seen, and at the end of `sigint`.
 _raised = threading.Event()
 
@@ -144,3 +149,38 @@ def on_signals(numbers: Iterable[int], act: Callable[[], None]) -> None:
 
     os.register_at_fork(after_in_child=let_go)
     in_background("signals", listen)
+
+
+def keep_waits_steady() -> None:
+    """Let steps of the system's clock lengthen no wait; only the main thread may call this.
+
+    Before Python 3.9 a wait with a time limit ends at a moment of that clock: set back by a
+    minute, as by NTP at boot, it would hold up leases, polls and timers for a minute. A thread
+    that gets a signal reckons the rest of its wait by the steady clock.
+    """
+    if sys.version_info < (3, 9):
+        signal.signal(_NUDGE, lambda number, frame: None)
+        in_background("clock", _follow_clock)
+
+
+def _follow_clock() -> None:
+    before = time.time() - time.monotonic()
+    while True:
+        time.sleep(_LOOK)
+        before = nudge_after_step(before)
+
+
+def nudge_after_step(before: float) -> float:
+    """Make all threads reckon their waits anew if the clock was set back.
+
+    ``before`` is the time by which it was ahead of the steady clock at the last look; the present
+    one is returned.
+    """
+    ahead = time.time() - time.monotonic()
+    if ahead < before - _STEP:
+        known: Any = threading
+        with known._active_limbo_lock:  # no thread of Python's ends meanwhile
+            for each in known._active.values():
+                if not isinstance(each, known._DummyThread):
+                    signal.pthread_kill(each.ident, _NUDGE)
+    return ahead

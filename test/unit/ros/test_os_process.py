@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import _thread
 import fcntl
 import queue
 import re
@@ -19,7 +20,7 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
-from clocks import PATIENCE, eventually, in_thread, join
+from clocks import PATIENCE, eventually, in_thread, join, patch_here
 from unit.ros.small_graph import SmallManager, small_graph
 
 from dyknow.errors import StoreError
@@ -30,7 +31,7 @@ from dyknow.ros.nodelets import owner as owner_module
 from dyknow.ros.nodelets import peer_services
 from dyknow.ros.nodelets.owner import OwnerLock, wait_until_orphaned
 from dyknow.ros.nodelets.peer_services import watch_name
-from dyknow.ros.process import os_process, owned
+from dyknow.ros.process import os_process, owned, signals
 from dyknow.ros.process.os_process import LogTail, ProcessId
 from dyknow.ros.process.owned import Processes, ProcessFailed
 
@@ -333,3 +334,28 @@ def test_a_new_master_that_does_not_get_to_know_it_is_told_once(graph):
     del graph.nodes["/twin"]
     assert told.get(timeout=PATIENCE) == "forgotten"
     assert goes_on(told)
+
+
+@pytest.mark.parametrize(("before", "is_step"), [(110.0, True), (100.05, False), (90.0, False)])
+def test_threads_reckon_their_waits_anew_when_the_clock_was_set_back(monkeypatch, before, is_step):
+    """By a signal, before Python 3.9. One that others have begun may have ended, and gets none."""
+    is_over, nudged, foreign = threading.Event(), [], []
+
+    def be_foreign():
+        threading.current_thread()
+        foreign.append(threading.get_ident())
+        is_over.wait()
+
+    clock = SimpleNamespace(time=lambda: 100.0, monotonic=lambda: 0.0)
+    monkeypatch.setattr(signals, "time", clock)
+    patch_here(monkeypatch, signal, "pthread_kill", lambda *call: nudged.append(call))
+    waiting = in_thread(is_over.wait)
+    _thread.start_new_thread(be_foreign, ())
+    eventually(lambda: foreign)
+    try:
+        assert signals.nudge_after_step(before) == 100.0
+    finally:
+        is_over.set()
+        join(waiting)
+    assert ((waiting.ident, signal.SIGURG) in nudged) is is_step
+    assert not {(foreign[0], signal.SIGURG)} & {*nudged}
