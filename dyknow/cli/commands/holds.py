@@ -185,13 +185,17 @@ def _live(
     datatypes = {port: _datatype(shell, port, topic, latest) for port, topic in streams.items()}
     check(formula, {port: datatypes.get(port, "") for port in formula.ports})
     deadline = None if duration is None else time.monotonic() + duration
-    held: list[AcquiredStream] = []
+    held: dict[str, AcquiredStream] = {}
+    bindings: dict[str, Mapping[str, str]] = {}
 
     def is_over() -> bool:
-        for stream in held:
+        for port, stream in held.items():
             if stream.state.ended:
                 why = stream.detail or stream.state.name.lower()
                 raise DyKnowError(f"the stream {stream.tag} has ended: {why}")
+            if bindings.setdefault(port, stream.bindings) != stream.bindings:
+                bindings[port] = stream.bindings
+                made.forget([port])  # it is that of another individual
         return deadline is not None and time.monotonic() >= deadline
 
     live = LiveTopics()
@@ -200,7 +204,7 @@ def _live(
             if port not in individual:
                 stream = stack.enter_context(acquire(tag, manager=client.manager))
                 streams[port], datatypes[port] = stream.topic, stream.datatype
-                held.append(stream)
+                held[port] = stream
         check(formula, {port: datatypes.get(port, "") for port in formula.ports})
         for port, topic in streams.items():
             subscriber = live.subscribe(port, "", topic, known_class(datatypes[port]))
@@ -210,7 +214,8 @@ def _live(
             individuals = IndividualStreams(client, individual, {}, live.subscribe)
             stack.callback(individuals.close)
             present = individuals.present
-        yield from live.verdicts(monitor(datatypes.values()), present, is_over)
+        made = monitor(datatypes.values())
+        yield from live.verdicts(made, present, is_over)
 
 
 def _datatype(shell: Shell, port: str, topic: str, latest: float | None) -> str:

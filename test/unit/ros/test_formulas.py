@@ -34,7 +34,7 @@ class Stream:
 
     def __init__(self, open_: List[str], tag: str, datatype: str) -> None:
         self.tag, self.datatype, self.topic, self.detail = tag, datatype, f"/{tag}", ""
-        self.state = ClaimState.ACTIVE
+        self.state, self.bindings = ClaimState.ACTIVE, {"?c": "a"}
         self._open = open_
         open_.append(tag)
 
@@ -239,6 +239,28 @@ def test_holds_hears_topics_of_the_namespace_of_the_manager(topics):
     verdicts = holds._live(shell, formula, lambda datatypes: formula.monitor(), topics, {}, 0.0)
     with pytest.raises(DyKnowError, match="the topic /robot1/f of the port 'f' is not published"):
         next(verdicts)
+
+
+def test_holds_forgets_the_messages_of_another_individual(around, monkeypatch):
+    """As the nodelet does: the stream of its claim stays, on the same topic."""
+    forgotten: List[str] = []
+
+    class Topics:
+        subscribe = around.subscribe
+
+        def verdicts(self, monitor, present, is_over):
+            for bound in ("a", "a", "b", "b"):
+                around.acquired[1].bindings = {"?c": bound}
+                is_over()
+                yield list(forgotten)
+
+    monkeypatch.setattr(acquiring, "acquire", around.acquire)
+    monkeypatch.setattr(sources, "LiveTopics", Topics)
+    shell: Any = SimpleNamespace(client=around, resolve=str)
+    monitor: Any = SimpleNamespace(forget=forgotten.extend)
+    tags = {"f": "Flag(a)", "g": "Flag(?c)"}
+    verdicts: Any = holds._live(shell, parse("f or g"), lambda types: monitor, {}, tags, None)
+    assert [*verdicts] == [[], [], ["g"], ["g"]]
 
 
 def test_holds_ends_with_a_stream_that_has_ended(around, monkeypatch):
