@@ -57,8 +57,13 @@ class PortValues:
         self.stamp: Optional[int] = None
         self.latest = -1  # greatest stamp of all messages
         self._coming: List[Tuple[int, int, Any, int]] = []  # state, stamp, message, count
+        self.count_from(0)
+
+    def count_from(self, first: int) -> None:
+        """Count messages from a state on: those before it have been left out."""
         if self._counts is not None:
             self._counts.clear()
+            self._coming = [(*each[:3], each[3] * (each[0] >= first)) for each in self._coming]
 
     def add(self, state: int, stamp: int, message: Any, far: int) -> None:
         """Keep a message for a state; of several with one stamp the last one counts.
@@ -141,11 +146,15 @@ class States:
         if quantified:
             self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}
         self._is_over = False
+        self._state = first - 1
         self.begin(first)
 
     def begin(self, first: int) -> None:
         """Start the sequence at a state, with the messages that the ports have."""
         formula, settings = self._formula, self._settings
+        if first > self._state + 1:
+            for values in self.own.values():
+                values.count_from(first)
         self.first = first
         self.evaluator: Evaluator | ExactEvaluator
         if settings.is_exact:

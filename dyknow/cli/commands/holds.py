@@ -70,6 +70,8 @@ def _holds(arguments: argparse.Namespace, shell: Shell) -> int | None:
     if arguments.bag and arguments.seconds:
         arguments.refuse("--bag ends by itself: --for is for live streams")
     formula = parse(arguments.formula)
+    # To be refused at once: the real one, made when the types are known, has the same bounds.
+    formula.monitor(arguments.period, arguments.hold, arguments.delay or 0.0, arguments.exact)
     monitors: list[Monitor] = []
 
     def monitor(datatypes: Collection[str]) -> Monitor:

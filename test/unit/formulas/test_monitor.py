@@ -539,6 +539,20 @@ def test_a_monitor_that_forgets_a_port_goes_on_as_a_new_one(formula: str, exact:
     assert len({each.value for each in found}) > 1
 
 
+@pytest.mark.parametrize("formula", ["rate(a, 5 s) > 1 or b", "every ?c (rate(a, 5 s) > 1) or b"])
+def test_rates_are_not_counted_over_the_states_that_forgetting_leaves_out(formula: str) -> None:
+    monitor = parse(formula).monitor(0.5, delay=0.5)
+    individual = "left" if "every" in formula else ""
+    monitor.individuals("?c", [individual], 1.0)
+    monitor.feed("b", False, 1.0)
+    for number in range(60):
+        monitor.feed("a", 1, 1.0 + 0.1 * number, individual)
+    monitor.forget(["b"])
+    found = monitor.feed("b", False, 37.0) + monitor.feed("a", 1, 37.0, individual)
+    found += monitor.advance(43.1)
+    assert [each.value for each in found] == 9 * [Truth.UNKNOWN] + 3 * [Truth.FALSE]
+
+
 def test_a_monitor_that_forgets_publishes_no_verdict_about_an_earlier_state() -> None:
     monitor = parse("a.x > 0").monitor(0.1, delay=1.0)
     verdicts = monitor.feed("a", message(1.0, x=1), 1.0) + monitor.feed("a", message(1.95, x=1), 2)
