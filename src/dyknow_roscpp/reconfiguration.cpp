@@ -52,6 +52,11 @@ void Announcement::make()
   }
 }
 
+bool Announcement::isMade() const
+{
+  return is_made_ || listener_->queued() >= maps_->change;
+}
+
 void ReconfigureListener::set(ReconfigureCallback callback, ros::CallbackQueueInterface* queue)
 {
   std::lock_guard<std::mutex> lock(state_lock_);
@@ -71,6 +76,7 @@ void ReconfigureListener::queue(const std::shared_ptr<const PortMaps>& maps)
   if (!latest_ || latest_->change < maps->change)
   {
     latest_ = maps;
+    queued_ = maps->change;
   }
   if (callback_)
   {

@@ -36,7 +36,8 @@ public:
   /// Puts a call of the callback into its queue; only the first time that it is called.
   void make();
 
-  bool isMade() const { return is_made_; }
+  /// Whether the callback is told of this change, perhaps by the announcement of a later one.
+  bool isMade() const;
 
 private:
   const std::shared_ptr<ReconfigureListener> listener_;
@@ -61,6 +62,9 @@ public:
   /// Queues a call of it: with the maps of a later change, if that was queued before.
   void queue(const std::shared_ptr<const PortMaps>& maps);
 
+  /// Number of the latest change of which a call was queued.
+  std::uint32_t queued() const { return queued_; }
+
   /// Calls it with these maps, if it is still there.
   void call(const PortMaps& maps) const;
 
@@ -69,6 +73,7 @@ private:
   ReconfigureCallback callback_;
   ros::CallbackQueueInterface* queue_ = nullptr;
   std::shared_ptr<const PortMaps> latest_;  ///< those of the latest change that was queued
+  std::atomic<std::uint32_t> queued_{0};
 };
 
 }  // namespace dyknow

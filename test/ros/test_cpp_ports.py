@@ -581,6 +581,7 @@ class ReconfigureTest(CppCase):
     def test_the_last_call_says_where_the_ports_are(self):
         """Also that of an earlier change, which has waited for a topic that is silent."""
         self.load_listener()
+        self.enter(graph.Talker("/other", String("new")))
         connect("/listener", **{"in": "/silent"})
         connect("/listener", second="/other")
         becomes(lambda: len(self.told()), 2)
@@ -601,6 +602,17 @@ class ReconfigureTest(CppCase):
         connect("/listener", **{"in": "", "second": "/silent"})
         becomes(lambda: graph.nodes_on("/two")[1], set())
         self.assertEqual(self.notes()[-1], "told  /silent")
+
+    def test_no_message_of_an_old_topic_comes_after_the_call_for_a_later_change(self):
+        """That call says where all ports are, also one that waits for a topic that is silent."""
+        self.load_listener()
+        self.enter(graph.Talker("/one", String("old")))
+        becomes(lambda: "old" in self.notes(), True)
+        connect("/listener", **{"in": "/silent"})
+        connect("/listener", second="")
+        becomes(lambda: graph.nodes_on("/one")[1], set())
+        notes = self.notes()
+        self.assertNotIn("old", notes[notes.index(self.told()[0]) :])
 
     def test_without_the_library_it_is_never_called(self):
         stock = self.enter(CppManager("/stock", *STOCK))
