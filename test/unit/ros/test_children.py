@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import subprocess
@@ -153,11 +154,20 @@ def test_a_restart_ends_the_pause_of_a_process_that_cannot_be_started(
     assert renewed == [False, False]
 
 
+@contextlib.contextmanager
+def sleeping():
+    with subprocess.Popen(["sleep", "1000"], start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monkeypatch):
     monkeypatch.setattr(children_module, "PATIENCE", 3600.0)
     monkeypatch.setattr(Child, "_find", lambda child: None)
     launcher.last_line = lambda name: "loading"
-    with subprocess.Popen(["sleep", "1000"], start_new_session=True) as process:
+    with sleeping() as process:
         found = ProcessId.of(process.pid)
         launcher.launch = lambda child, command: (found, None)
         with pytest.raises(HostError) as error:
@@ -167,7 +177,7 @@ def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monke
 
 
 def test_children_without_a_manager_are_cleaned_up_or_taken_over(children, launcher):
-    with subprocess.Popen(["sleep", "1000"], start_new_session=True) as process:
+    with sleeping() as process:
         living = ProcessId.of(process.pid)
         assert living is not None
         gone = ProcessId(living.pid, living.started + 1)

@@ -124,9 +124,10 @@ def test_nobody_answers_at_an_address_that_is_none(monkeypatch, address):
     assert not refuses(address, PATIENCE)
     assert not is_offered("/ask", address, "/test", PATIENCE)
     assert probe(address) is Sight.SILENT
-    monkeypatch.setattr(Master, "ask", lambda master, *question: address)
+    master = Master("/test")
+    monkeypatch.setattr(master, "ask", lambda *question: address)
     with pytest.raises(ServiceLost, match="/ask is gone: '.*' is no address"):
-        ServiceClient(Master("/test"), "/ask", Poll).call(PATIENCE)
+        ServiceClient(master, "/ask", Poll).call(PATIENCE)
 
 
 @pytest.mark.parametrize(

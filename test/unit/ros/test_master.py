@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import http.server
 import logging
 import os
@@ -39,6 +40,8 @@ from dyknow.ros.wire.master import Master
 
 ME = "/dyknow_manager"
 TYPE = "std_msgs/Empty"
+#: A master as it answers on a machine that is busy.
+patient = functools.partial(Master, timeout=PATIENCE)
 
 
 class Core:
@@ -49,7 +52,7 @@ class Core:
         self._master.start()
         self._renewed = contextlib.ExitStack()
         self.uri = self._master.uri
-        self.api = Master("/test", self.uri)
+        self.api = patient("/test", self.uri)
 
     def renew(self) -> None:
         """Put a new master at the same address, in a process of the same id."""
@@ -112,7 +115,7 @@ class SmallNode(SmallManager):
         return [[topic, topics[topic]] for topic in topics] if self.lists_topics else None
 
     def _ask(self, *question: str) -> None:
-        Master(self.name, self._core.uri).ask(*question)
+        patient(self.name, self._core.uri).ask(*question)
 
 
 class Graph:
@@ -128,7 +131,7 @@ class Graph:
         return SmallNode(self.core, name)
 
     def keeper(self) -> MasterKeeper:
-        return MasterKeeper(Master(ME, self.core.uri), self.path)
+        return MasterKeeper(patient(ME, self.core.uri), self.path)
 
     def set(self, **parameters: Any) -> None:
         for name, value in parameters.items():
@@ -142,6 +145,7 @@ class Graph:
 @pytest.fixture
 def graph(monkeypatch, tmp_path):
     monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    monkeypatch.setattr(keeper_module, "_PATIENCE", PATIENCE)  # but for nodes that are silent
     made = Graph(str(tmp_path / "state" / "master"))
     yield made
     made.close()
@@ -185,7 +189,7 @@ def test_a_look_at_the_same_master_changes_nothing(graph, keeper):
     keeper.look()
     graph.set(run_id="second")  # it comes a moment after the master
     graph.core.api.ask("deleteParam", "/rate")
-    Master("/talker", graph.core.uri).ask("unregisterPublisher", "/words", talker.uri)
+    patient("/talker", graph.core.uri).ask("unregisterPublisher", "/words", talker.uri)
     before = graph.core.state()
     keeper.look()
     assert graph.core.state() == before
@@ -290,7 +294,7 @@ def test_a_node_with_a_wrong_address_keeps_no_other_from_a_new_master(graph, kee
     """Its ROS_IP is an address with a port."""
     graph.node("/node").publish("/words")
     uri, address = "http://192.0.2.1:11311:45123/", "rosrpc://192.0.2.1:11311:41234"
-    wrong = Master("/wrong", graph.core.uri)
+    wrong = patient("/wrong", graph.core.uri)
     wrong.ask("registerService", "/wrong/ask", address, uri)
     keeper.look()
     graph.core.renew()
@@ -405,7 +409,7 @@ def test_a_silent_node_alone_brings_no_earlier_session_back(graph, keeper, monke
 def test_the_file_is_written_every_few_seconds_at_most_and_not_used_if_it_is_wrong(graph, caplog):
     clock = HandClock()
     file = Path(graph.path)
-    keeper = MasterKeeper(Master(ME, graph.core.uri), graph.path, clock)
+    keeper = MasterKeeper(patient(ME, graph.core.uri), graph.path, clock)
     for rate, pause, saved in ((1, 0.0, 1), (2, 0.0, 1), (2, 10.0, 2)):
         graph.set(rate=rate)
         clock.time += pause
@@ -482,12 +486,12 @@ def uri(monkeypatch):
 
 def test_the_master_forgets_a_node_that_is_purged_and_no_successor(uri):
     """Else it would end a later process at that address, as soon as the name is back."""
-    dead = Master("/dead", uri)
+    dead = patient("/dead", uri)
     dead.ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
     dead.ask("registerSubscriber", "/topic", "std_msgs/Empty", URI)
     dead.ask("registerService", "/dead/service", "rosrpc://localhost:9", URI)
     dead.ask("subscribeParam", URI, "/rosout_disable_topics_generation")
-    asking = Master("/asking", uri)
+    asking = patient("/asking", uri)
     assert asking.node("/dead") == URI
     asking.purge("/dead", URI)
     assert asking.node("/dead") == ""
@@ -500,7 +504,7 @@ def test_the_master_forgets_a_node_that_is_purged_and_no_successor(uri):
 
 
 def test_namespaces_without_parameters_go_with_their_last_one(uri):
-    asking = Master("/asking", uri)
+    asking = patient("/asking", uri)
     names = ["rate", "in/rate", "in/raw/size", "out/raw/size"]
     for name in (*names, "out/rate"):
         asking.ask("setParam", f"/robot/node/{name}", 5)
@@ -511,7 +515,7 @@ def test_namespaces_without_parameters_go_with_their_last_one(uri):
 
 
 def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
-    node = Master("/node", uri)
+    node = patient("/node", uri)
     node.ask("registerPublisher", "/space/topic", "std_msgs/Empty", URI)
     node.ask("registerPublisher", "/top", "std_msgs/Header", URI)
     topics = ("/space/topic", "/top", "/space/other")
@@ -522,7 +526,7 @@ def test_a_topic_has_a_type_while_somebody_publishes_it(uri):
 
 def test_registrations_are_listed_for_topics_alone_that_are_registered(uri, monkeypatch):
     """Where there are 600 nodelets a spawn took twice as long with it."""
-    node, asked = Master("/node", uri), []
+    node, asked = patient("/node", uri), []
     monkeypatch.setattr(node, "subscribers", lambda topic: asked.append(topic) or ())
     for topic in ("/left", "/heard"):
         node.ask("registerSubscriber", topic, "std_msgs/Empty", URI)
@@ -560,7 +564,7 @@ def test_many_questions_at_a_time_leave_two_connections(uri, monkeypatch):
 
 
 def test_many_questions_are_one_request(uri):
-    asking = Master("/asking", uri)
+    asking = patient("/asking", uri)
     asking.ask("setParam", "/a", 1)
     questions = [("getParam", "/asking", name) for name in ("/a", "/b", "")]
     assert asking.ask_all([*questions, ("nothing",)]) == [1, None, None, None]
@@ -569,8 +573,8 @@ def test_many_questions_are_one_request(uri):
 
 def test_a_master_that_does_not_know_the_caller_is_new(uri):
     """It lacks registrations only for a moment."""
-    Master("/node", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
-    asking = Master("/asking", uri)
+    patient("/node", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    asking = patient("/asking", uri)
     with pytest.raises(PeerTimeout, match="new"):
         asking.publications()
     with pytest.raises(PeerTimeout, match="new"):
@@ -619,7 +623,7 @@ def test_an_address_that_is_none_does_not_answer(uri):
         with pytest.raises(PeerTimeout):
             Master("/asking", wrong).node("/node")
         with pytest.raises(PeerTimeout):
-            Master("/asking", uri).pid("/node", wrong, 1.0)
+            patient("/asking", uri).pid("/node", wrong, 1.0)
 
 
 def test_an_answer_like_the_one_before_is_not_parsed(uri):
@@ -629,11 +633,11 @@ def test_an_answer_like_the_one_before_is_not_parsed(uri):
     asking.ask_all(question)
     first, second = (asking.ask_all(question)[0] for _ in range(2))
     assert first is second and first == {"words": ["long " * 1000]}
-    Master("/other", uri).ask("setParam", "/words", ["short"])
+    patient("/other", uri).ask("setParam", "/words", ["short"])
     assert asking.ask_all(question) == [{"words": ["short"]}]
 
 
 def test_a_node_that_is_gone_or_does_not_answer_has_no_transports(uri):
-    Master("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
+    patient("/dead", uri).ask("registerPublisher", "/topic", "std_msgs/Empty", URI)
     for node in ("/dead", "/gone"):
-        assert Master("/asking", uri).transports(node, 1.0) == {}
+        assert patient("/asking", uri).transports(node, 1.0) == {}

@@ -13,6 +13,7 @@ import socket
 import struct
 import subprocess
 import sys
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -105,7 +106,10 @@ def server(monkeypatch):
     server = tcpros_base.TCPROSServer()
     monkeypatch.setattr(tcpros_base, "_tcpros_server", server)
     yield server
+    address = server.tcp_ros_server.server_sock.getsockname()
     server.shutdown()
+    with suppress(OSError):  # its thread accepts until something comes
+        socket.create_connection(address, PATIENCE).close()
 
 
 def test_the_queue_of_the_server_is_lengthened(server):
