@@ -176,15 +176,16 @@ class Importer:
             return builtins.__import__(name, globals, locals, fromlist or (), 0)
         module = self._load(name)
         if not fromlist:
-            return self.modules[name.partition(".")[0]]
+            return self._load(name.partition(".")[0])
         if hasattr(module, "__path__"):
             wanted = getattr(module, "__all__", ()) if "*" in fromlist else fromlist
             for item in wanted:
-                if not hasattr(module, item):
+                full_name = f"{name}.{item}"
+                if not hasattr(module, item) or full_name in self.modules:  # maybe incomplete
                     try:
-                        self._load(f"{name}.{item}")
+                        vars(module).setdefault(item, self._load(full_name))
                     except ModuleNotFoundError as error:
-                        if error.name != f"{name}.{item}":
+                        if error.name != full_name:
                             raise
         return module
 
@@ -238,7 +239,7 @@ class Importer:
 
     def _load(self, name: str) -> Module:
         above, _, child = name.rpartition(".")
-        if above and name not in self.modules:
+        if above and not self._makers.has_made(name, self.modules):
             self._load(above)
         if self._makers.claim(name, self.modules):
             try:
@@ -331,6 +332,10 @@ class _Makers:
                 return False
             self._makers[name] = me
             return True
+
+    def has_made(self, name: str, made: Collection[str]) -> bool:
+        with self._changed:
+            return name in made and name not in self._makers
 
     def give_up(self, name: str) -> None:
         with self._changed:

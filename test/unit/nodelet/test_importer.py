@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, Callable, Dict, List
 
 import pytest
-from clocks import Gate, in_thread, join, wait_for
+from clocks import Gate, eventually, in_thread, join, wait_for
 
 from dyknow.nodelet.loading.importer import Importer, View
 from dyknow.nodelet.loading.module_files import (
@@ -126,6 +126,54 @@ def test_an_import_waits_for_no_other_module(folder: Folder) -> None:
     gate.open()
     join(slow)
     assert "sib_new" in importer.modules
+
+
+#: A module that waits for a gate, then runs a statement.
+SLOW = "from gate import pass_\npass_()\n{}\nword = 'ours'"
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize(
+    ("is_top", "code"),
+    [
+        (False, "from pack import slow as found"),
+        (False, "import pack.slow as found"),
+        (True, "import pack as found"),
+        (True, "import pack.sub\n found = pack"),
+    ],
+)
+def test_no_thread_finds_a_module_that_another_one_makes(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, is_top: bool, code: str, fails: bool
+) -> None:
+    slow = SLOW.format("if pass_.fails: pass_.fails = False; 1 / 0")
+    path = folder(
+        pack____init__=f"from . import sub\n{slow if is_top else ''}",
+        pack__sub="",
+        pack__slow=slow,
+    )
+    gate, heard, waits = Gate(), [], threading.Event()
+    vars(gate)["fails"] = fails
+    importer = script_importer(path, gate=lambda: View(time, {"pass_": gate}))
+    changed = importer._makers._changed
+    wait = changed.wait
+    monkeypatch.setattr(changed, "wait", lambda: (waits.set(), wait()))
+    find = run(importer, f"def find():\n {code}\n return found")["find"]
+
+    def make() -> None:
+        if fails:
+            with pytest.raises(ZeroDivisionError):
+                importer.import_module(name)
+        else:
+            importer.import_module(name)
+
+    name = "pack" if is_top else "pack.slow"
+    maker = in_thread(make)
+    wait_for(gate.begun)
+    user = in_thread(lambda: heard.append(find().word))
+    eventually(lambda: waits.is_set() or not user.is_alive())
+    gate.open()
+    join(maker, user)
+    assert heard == ["ours"]
 
 
 def test_modules_that_import_each_other_do_so_in_two_threads_too(folder: Folder) -> None:
