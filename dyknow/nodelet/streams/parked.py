@@ -29,7 +29,7 @@ class ParkedConnection(Connection):
     """
 
     __slots__ = tuple(
-        "_began _digest _due _is_adopted _is_cleared _latched_here _made _until".split()
+        "_began _digest _due _is_adopted _is_cleared _latched_before _made _until".split()
     )
 
     def __init__(
@@ -39,7 +39,7 @@ class ParkedConnection(Connection):
         self._digest = digest
         self._made = self._strand.clock()
         self._began = 0.0  # when its first message came; 0 before
-        self._latched_here: list[Any] = []  # messages that publications here had latched before
+        self._latched_before: list[Any] = []  # messages that came with the connection
         #: How often each message is yet to be left out, until a moment.
         self._due: Counter[bytes] = collections.Counter()
         self._until = 0.0
@@ -62,7 +62,7 @@ class ParkedConnection(Connection):
             self.subscription, self._strand = subscription, subscription.strand
             if own.converter is not None:
                 subscription.convert(own.converter)
-            self._latched_here.clear()
+            self._latched_before.clear()
             self._is_adopted = True
         return True
 
@@ -78,7 +78,7 @@ class ParkedConnection(Connection):
 
     def push_latched(self, message: Any) -> None:
         if not self._is_adopted:
-            self._latched_here.append(message)
+            self._latched_before.append(message)
         super().push_latched(message)
 
     def latest(self) -> list[tuple[float, bytes]]:
@@ -89,15 +89,10 @@ class ParkedConnection(Connection):
         """
         with message_lock:
             held, now = list(self._queue), self._strand.clock()
-            latched_here = set(map(id, self._latched_here))
-        first: dict[str, Any] = {}
-        last: dict[str, Any] = {}
-        for message in held:
-            if id(message) in latched_here:
-                continue
-            publisher = str(_header(message).get("callerid", ""))
-            if first.setdefault(publisher, message) is not message or not latching(message):
-                last[publisher] = message
+            first = {latching(each): each for each in reversed(held) if latching(each)}
+            self._latched_before += first.values()
+            old = set(map(id, self._latched_before))
+        last = {_header(each).get("callerid"): each for each in held if id(each) not in old}
         digests = map(self._digest_of, last.values())
         return [(now, digest) for digest in digests if digest is not None]
 
@@ -134,8 +129,7 @@ class ParkedConnection(Connection):
             self._queue.clear()
         from_outside = [each for each in held if latching(each)]
         latest = [*{latching(each): each for each in from_outside}.values(), *latched]
-        first = {latching(each): each for each in reversed(from_outside)}.values()
-        old = {*map(id, first), *map(id, self._latched_here)} - set(map(id, latest))
+        old = set(map(id, self._latched_before)) - set(map(id, latest))
         there = set(map(self._digest_of, waiting)) - {None}
         again = {id(each) for each in latest if self._digest_of(each) in there}
         last = set(map(id, latest)) - again

@@ -328,6 +328,14 @@ def test_the_last_message_of_each_latching_publisher_comes_again(waits, expected
     assert received == expected
 
 
+def test_the_first_message_of_a_latching_publisher_during_a_move_is_received():
+    place, topics, received = parked()
+    for number in range(3):
+        place.send(number, kind=Latched)
+    finish(place, topics)
+    assert received == [0, 1, 2]
+
+
 @pytest.mark.parametrize("waits", [True, False])
 @pytest.mark.parametrize("is_here", [True, False])
 def test_a_message_that_was_latched_before_the_move_is_not_awaited_and_outdated(is_here, waits):
