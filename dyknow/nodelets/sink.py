@@ -38,8 +38,9 @@ class Sink(dyknow.Nodelet):
     def on_message(self, message: Any) -> None:
         """Count a message; its latency is that from its stamp to now, in s."""
         self.count += 1
-        if self.stamp_of is not None:
-            self.latencies.append(self.nh.get_time() - self.stamp_of(message).to_sec())
+        stamp = self.stamp_of(message) if self.stamp_of is not None else None
+        if stamp:
+            self.latencies.append(self.nh.get_time() - stamp.to_sec())
 
     def on_timer(self, event: Any) -> None:
         """Log the messages since the last time."""
