@@ -184,12 +184,12 @@ class NodeletProxy(Closable):
     def _checked(self, config: Sequence[tuple[str, str]]) -> list[Change]:
         guards = self._context.runtime.guards()
         guards.check_sizes((text for pair in config for text in pair), len(config))
-        counts = collections.Counter(name for name, _ in config)
+        found = [(self._find(name), name, text) for name, text in config]
+        counts = collections.Counter(port.name if port else name for port, name, _ in found)
         problems: list[DyKnowError] = [DuplicatePort(name) for name in counts if counts[name] > 1]
         changes: list[Change] = []
         types: dict[str, str] = {}
-        for name, text in config:
-            port = self._find(name)
+        for port, name, text in found:
             if port is None:
                 problems.append(UnknownPort(name, self._ports))
                 continue
@@ -259,6 +259,7 @@ class NodeletProxy(Closable):
         def on_switch() -> None:
             for port, topic in changes:
                 port.topic = topic
+                self._ports.setdefault(port.name, port)  # a script may name one before it is made
             self._reconfigurations += 1
             if callback is not None:
                 context.strand.post(notify)

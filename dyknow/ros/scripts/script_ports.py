@@ -64,7 +64,7 @@ class ScriptProxy(NodeletProxy):
         label = label[len(before) :] if label.startswith(before) else label
         if origin not in self._context.remappings or self._is_misspelt(label):
             return None
-        return self._ports.setdefault(label, _PortToCome(label, _Unknown, self._start(label)))
+        return self._ports.get(label) or _PortToCome(label, _Unknown, self._start(label))
 
     def _is_misspelt(self, label: str) -> bool:
         """Whether a port to come is a port of another namespace that its load does not name.

@@ -444,6 +444,19 @@ def test_a_port_by_a_longer_name(script):
     assert "script/out" not in script.ports()
 
 
+@pytest.mark.parametrize("port", ["out", "image"])
+def test_a_port_by_two_of_its_names_is_named_twice(script, port):
+    with pytest.raises(InvalidConfiguration, match=f"port '{port}' is named twice"):
+        script.proxy.set_config([(port, "/x"), (f"/robot/{port}", "/y")])
+
+
+def test_a_refused_configuration_makes_no_port(script):
+    before = script.proxy.get_config()
+    with pytest.raises(InvalidConfiguration, match="known ports: out"):
+        script.proxy.set_config([("image", "/cam"), ("nose", "/x")])
+    assert script.proxy.get_config() == before
+
+
 @pytest.mark.parametrize("maker", ["Publisher", "Subscriber"])
 def test_a_port_that_the_script_has_let_go_of_may_get_another_type(script, maker):
     make = getattr(script.handle, maker)
