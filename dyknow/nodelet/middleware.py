@@ -220,6 +220,9 @@ class Services(ABC):
 class Ticker(ABC):
     """The time that timers follow."""
 
+    #: Least seconds from one look at the timers to the next.
+    pause = 0.002
+
     @abstractmethod
     def now(self) -> float:
         """Seconds; steady, or simulated time when the system runs on it."""

@@ -26,10 +26,7 @@ from dyknow.nodelet.scheduler import Strand
 _log = logging.getLogger("rosout.dyknow")
 
 
-#: Least seconds from one look at the timers to the next, and the largest part of the shortest
-#: period that they may be.
-_PAUSE = 0.002
-_PART_OF_PERIOD = 0.1
+_PART_OF_PERIOD = 0.1  # largest part of the shortest period that the ticker's pause may be
 _FIRST_MOMENT = sys.float_info.min  # when simulated time begins: at any moment after 0
 
 
@@ -112,7 +109,7 @@ class TimerQueue:
         self._lock = state_lock("timers")
         self._order = itertools.count()
         self._heap: list[tuple[float, int, Timer]] = []
-        self._pause = _PAUSE
+        self._pause = ticker.pause
         self._latest = 0.0  # time that was seen; less shows that it went back
         self._awaits_time = False  # some are due never, until time begins
         self._thread: threading.Thread | None = None
@@ -137,7 +134,7 @@ class TimerQueue:
         with self._lock:
             self._heap = [entry for entry in self._heap if entry[2] is not timer]
             heapq.heapify(self._heap)
-            self._pause = min([_PAUSE, *(_pause(entry[2]) for entry in self._heap)])
+            self._pause = min([self.ticker.pause, *(_pause(entry[2]) for entry in self._heap)])
         self.ticker.wake()
 
     def close(self) -> None:
@@ -197,4 +194,4 @@ def _ignore(event: Any) -> None:
 
 def _pause(timer: Timer) -> float:
     """Seconds by which a timer may be late; once late, a single call is not missed."""
-    return _PAUSE if timer.oneshot else _PART_OF_PERIOD * timer.period
+    return math.inf if timer.oneshot else _PART_OF_PERIOD * timer.period

@@ -56,6 +56,8 @@ class LogEntry:
 class HarnessTicker(ManualTicker):
     """Time that a test sets, with rospy's events."""
 
+    pause = 0.0
+
     def event(self, last: Any, expected: float, real: float, duration: Any) -> Any:
         before = (None, None) if last is None else (last.current_expected, last.current_real)
         now = map(rospy.Time.from_sec, (expected, real))

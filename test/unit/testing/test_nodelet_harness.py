@@ -299,6 +299,14 @@ class TestTime:
         harness.advance(0.101)
         assert len(fired) == 2
 
+    def test_timers_miss_no_call_because_of_others(self, harness):
+        fired = []
+        nh = harness.load(Multiplier).nh
+        for period in (0.02, 0.05, 0.101):
+            nh.Timer(nh.Duration(period), lambda event, period=period: fired.append(period))
+        harness.advance(1.0)
+        assert [fired.count(period) for period in (0.02, 0.05, 0.101)] == [50, 20, 9]
+
     def test_a_latched_message_of_on_init_reaches_who_listens_later(self, harness):
         harness.load(Ticking, ports={"time": "/time"})
         got = harness.listen("/time")
