@@ -15,7 +15,7 @@ from typing import Any, Collection, Mapping, Sequence, TypeVar
 import rospy
 
 from dyknow import names
-from dyknow.errors import UnknownPort
+from dyknow.errors import DyKnowError, UnknownPort
 from dyknow.nodelet.context import Context, Runtime
 from dyknow.nodelet.handle import Nodelet, PlainNodeHandle
 from dyknow.nodelet.loading.loader import Loader
@@ -123,7 +123,8 @@ class NodeletHarness(Harness):
         Args:
             nodelet_class: what to load.
             name: global name.
-            ports: topics that ports are connected to from the start; the rest is disconnected, and
+            ports: topics that ports are connected to from the start, those of a private handle at
+                the end of ``on_init`` unless written with ``~``; the rest is disconnected, and
                 ports with an empty topic.
             parameters: private parameters by their names without ``~``.
             remappings: of names that are not ports, as in a load request.
@@ -144,7 +145,8 @@ class NodeletHarness(Harness):
         assert isinstance(nodelet, nodelet_class)
         try:
             check_ports(ports, self.topics(nodelet))
-        except UnknownPort:
+            self.connect(nodelet, ports)  # those whose names the handle has made private
+        except DyKnowError:
             self._loader.unload(name)
             raise
         return nodelet
@@ -312,13 +314,14 @@ def _global(name: str) -> str:
 def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> dict[str, str]:
     """Return the remappings that connect ports of a nodelet at its load.
 
-    The handle that declares a port is not known yet, so its name is remapped in both namespaces.
+    Not those that it declares by a private handle without ``~``, which nobody knows yet: its
+    parameters and services may have these names.
     """
+    space = names.parent(nodelet)
     return {
-        names.resolve(port, namespace, nodelet): names.resolve(topic, "/", nodelet)
+        names.resolve(port, space, nodelet): names.resolve(topic, space, nodelet)
         for port, topic in ports.items()
         if topic
-        for namespace in (names.parent(nodelet), nodelet)
     }
 
 

@@ -20,7 +20,7 @@ from nodelet.srv import NodeletList, NodeletLoad, NodeletUnload
 from roslib.packages import find_node
 
 from dyknow import names
-from dyknow.errors import PeerTimeout, UnknownPort
+from dyknow.errors import DyKnowError, PeerTimeout
 from dyknow.ros.client import ProxyClient
 from dyknow.ros.process.owned import Processes
 from dyknow.ros.wire.master import Master
@@ -116,8 +116,10 @@ class RosHarness(Harness):
             my_argv=list(my_argv),
         )
         try:
-            check_ports(ports, self.topics(name) if ports else ())
-        except UnknownPort:
+            if ports:
+                check_ports(ports, self.topics(name))
+                self.connect(name, ports)
+        except DyKnowError:
             self.unload(name)
             raise
         return name

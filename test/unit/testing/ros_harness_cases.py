@@ -58,6 +58,11 @@ def test_ports_are_connected_elsewhere(harness):
         harness.connect(name, {"inn": "/other"})
 
 
+def test_relative_topics_are_those_of_the_nodelets_namespace(harness):
+    name = harness.load("dyknow/Relay", "/robot/relay", ports={"in": "numbers", "out": ""})
+    assert harness.topics(name) == {"in": "/robot/numbers", "out": ""}
+
+
 def test_what_cannot_be_loaded_says_why(harness):
     with pytest.raises(rospy.ServiceException, match="nowhere/Nothing"):
         harness.load("nowhere/Nothing")

@@ -57,6 +57,32 @@ class Ticking(dyknow.Nodelet):
         self.times.append(round(self.nh.get_time(), 6))
 
 
+class Namesakes(dyknow.Nodelet):
+    """Its ports have the names of a parameter and of a service."""
+
+    def on_init(self):
+        self.nh = dyknow.NodeHandle(self.node_handle)
+        self.factor = self.nh.get_param("~factor")
+        self.nh.Subscriber("factor", Int32, print)
+        dyknow.NodeHandle(self.private_node_handle).Subscriber("reset", Int32, print)
+        self.nh.Service("~reset", Trigger, lambda request: (True, ""))
+
+
+class FailingAtTheEnd(dyknow.Nodelet):
+    def on_init(self):
+        pass
+
+    def on_shutdown(self):
+        raise ValueError("no end")
+
+
+class EndsBadly(NodeletTestCase):
+    __test__ = False  # but run by a test
+
+    def test(self):
+        self.harness.load(FailingAtTheEnd)
+
+
 @pytest.fixture(name="harness")
 def _harness():
     with NodeletHarness() as harness:
@@ -91,6 +117,17 @@ class TestPorts:
         nodelet = harness.load(Multiplier)
         with pytest.raises(InvalidConfiguration, match="unknown port 'inn'"):
             harness.connect(nodelet, {"inn": "/numbers"})
+
+    def test_a_parameter_and_a_service_may_have_the_name_of_a_port(self, harness):
+        ports = {"factor": "/factors", "reset": "/resets"}
+        nodelet = harness.load(Namesakes, ports=ports, parameters={"factor": 3})
+        assert harness.topics(nodelet) == ports
+        assert nodelet.factor == 3
+        assert harness.call("/nodelet/reset", TriggerRequest()).success
+
+    def test_relative_topics_are_those_of_the_nodelets_namespace(self, harness):
+        nodelet = harness.load(Multiplier, "/ns/n", {"in": "numbers"})
+        assert harness.topics(nodelet)["in"] == "/ns/numbers"
 
     def test_an_empty_topic_leaves_one_disconnected(self, harness):
         nodelet = harness.load(Multiplier, ports={"in": "", "out": "/out"})
