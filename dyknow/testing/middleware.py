@@ -76,7 +76,7 @@ class HarnessTransport(LocalTransport):
         return in_class if has_arrays(datatype) else None
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
-        """Give subscribers of ``numpy_msg`` arrays."""
+        """Give subscribers of ``rospy.AnyMsg`` and ``numpy_msg`` the messages that they expect."""
         return receive_in_class(datatype, receive)
 
 
@@ -130,13 +130,13 @@ class HarnessNode(LocalNode):
             )
         return getattr(members, name)
 
-    def _log(self, level: str, text: Any, *args: Any, **options: Any) -> None:
-        record = logging.LogRecord("", 0, "", 0, text, args, None)  # which knows a single mapping
+    def _log(self, level: str, msg: Any, *args: Any, **options: Any) -> None:
+        record = logging.LogRecord("", 0, "", 0, msg, args, None)  # which knows a single mapping
         self.log.append(LogEntry(level, record.getMessage()))
 
-    def _log_limited(self, level: str, period: Any, text: Any, *args: Any, **options: Any) -> None:
+    def _log_limited(self, level: str, period: Any, msg: Any, *args: Any, **options: Any) -> None:
         # Every call is an entry: a test wants to see them, however fast its time passes.
-        self._log(level, text, *args)
+        self._log(level, msg, *args)
 
 
 class _Members:
@@ -233,7 +233,13 @@ class LocalServiceProxy:
     def __call__(self, *args: Any, **kwds: Any) -> Any:
         """Call it with a request or its fields."""
         request = rospy.msg.args_kwds_to_message(self.request_class, args, kwds)
-        return self._node.call(self.resolved_name, request)
+        try:
+            return self._node.call(self.resolved_name, request)
+        except rospy.ServiceException:
+            raise
+        except Exception as error:
+            text = f"service [{self.resolved_name}] responded with an error: {error}"
+            raise rospy.ServiceException(text) from error
 
     call = __call__
 

@@ -121,7 +121,13 @@ def in_class(datatype: Any, message: Any) -> Any:
 
 def receive_in_class(datatype: Any, receive: Receive) -> Receive:
     """Give subscribers of a class that is not genpy's own messages of it, of any publisher."""
-    if not issubclass(datatype, genpy.Message) or genpy.Message in datatype.__bases__:
+    if not issubclass(datatype, genpy.Message):
+        return receive
+    if datatype._md5sum == "*":
+        return lambda message: receive(
+            message if message._md5sum == "*" else serialised(datatype, message)
+        )
+    if genpy.Message in datatype.__bases__:
         return receive
     return lambda message: receive(
         message if message.__class__ is datatype else in_class(datatype, message)

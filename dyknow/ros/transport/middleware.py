@@ -36,7 +36,6 @@ from dyknow.ros.transport.conversions import (
     in_class,
     packed,
     receive_in_class,
-    serialised,
 )
 from dyknow.ros.transport.intraprocess import IntraProcess
 from dyknow.ros.transport.node import RospyNode, make_ticker
@@ -132,11 +131,7 @@ class RospyTransport(Transport):
 
     def adapt(self, datatype: Any, receive: Receive) -> Receive:
         """Give subscribers of ``rospy.AnyMsg`` and ``numpy_msg`` the messages that they expect."""
-        if datatype._md5sum != "*":
-            return receive_in_class(datatype, receive)
-        return lambda message: receive(
-            message if message._md5sum == "*" else serialised(datatype, message)
-        )
+        return receive_in_class(datatype, receive)
 
 
 class RospyServices(Services):

@@ -198,7 +198,10 @@ class TestLife:
         nodelet.nh.logwarn("%s of %d", "one", 2)
         nodelet.nh.loginfo_throttle(5.0, "again")
         nodelet.nh.loginfo("%(count)d of 100 %%", {"count": 3})
+        nodelet.nh.loginfo(msg="named")
+        nodelet.nh.logerr_throttle(period=5.0, msg="named, too")
         texts = [("warn", "one of 2"), ("info", "again"), ("info", "3 of 100 %")]
+        texts += [("info", "named"), ("err", "named, too")]
         assert harness.log == [LogEntry(*each) for each in texts]
         with pytest.raises(AttributeError, match=r"no 'sleep' without ROS; .* RosHarness"):
             nodelet.nh.sleep(1.0)
@@ -288,6 +291,12 @@ def test_messages_of_one_type_may_have_two_classes(
     assert (type(found), list(found.data)) == (arrives_as, [1, 2])
     assert (found is message) is (type(message) is arrives_as)
     assert isinstance(anything[0].data, np.ndarray) is (published is ARRAYS)
+
+    def test_what_a_handler_raises_is_a_service_exception_to_a_nodelet(self, harness):
+        fail = harness.load(Multiplier).nh.ServiceProxy("~fail", Trigger)
+        with pytest.raises(rospy.ServiceException, match="division by zero"):
+            fail()
+        harness.drain()
 
 
 class TestTime:
