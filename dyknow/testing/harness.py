@@ -88,7 +88,7 @@ class NodeletHarness(Harness):
         """Make an empty harness; use it in a ``with`` block, or ``close`` it."""
         self._ticker = HarnessTicker()
         self._services = HarnessServices()
-        self._node = HarnessNode(self._ticker, self._services, self.call)
+        self._node = HarnessNode(self._ticker, self._services, self._call)
         self._executor = ManualExecutor(self._ticker.now)
         middleware = Middleware(HarnessTransport(), self._services, self._ticker, self._node)
         self._runtime = Runtime(middleware, self._executor)
@@ -106,6 +106,12 @@ class NodeletHarness(Harness):
         self._loader.close()
         self._runtime.close()
         self._failures.close()
+
+    def __exit__(self, error_type: object = None, *unused: object) -> None:
+        """Close the harness; unless the block raised, raise CallbackFailed if a callback did."""
+        self.close()
+        if error_type is None:
+            self._raise_failures()
 
     # Nodelets
 
@@ -206,8 +212,14 @@ class NodeletHarness(Harness):
         An error of its handler is raised here.
 
         Raises:
+            CallbackFailed: a callback raised meanwhile.
             rospy.ServiceException: it is not offered, or has not answered within 10 s.
         """
+        response = self._call(service, request)
+        self._raise_failures()
+        return response
+
+    def _call(self, service: str, request: Any) -> Any:
         handler = self._services.handlers.get(_global(service))
         if handler is None:
             raise rospy.ServiceException(f"service [{service}] unavailable")
@@ -220,7 +232,7 @@ class NodeletHarness(Harness):
             if time.monotonic() > deadline:
                 raise rospy.ServiceException(f"service [{service}] has not answered")
         if answer.exception() is not None:
-            self._raised = self._count_errors()  # the test knows it by this error
+            self._raised += 1  # the test, or the nodelet that calls, knows it by this error
         return answer.result()
 
     # Time
@@ -276,7 +288,7 @@ class NodeletTestCase(unittest.TestCase):
     def setUp(self) -> None:
         """Make the harness."""
         self.harness = NodeletHarness()
-        self.addCleanup(self.harness.close)
+        self.addCleanup(self.harness.__exit__)
 
 
 def _answer(handler: Handler, request: Any, answer: Future[Any]) -> None:

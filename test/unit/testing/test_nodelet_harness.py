@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import unittest
+
 import numpy as np
 import pytest
 import rospy
@@ -108,6 +110,44 @@ class TestMessages:
             with pytest.raises(CallbackFailed, match=text):
                 harness.drain()
         harness.drain()
+
+    def test_a_callback_that_raises_during_a_call_fails_the_test(self, harness):
+        harness.load(Multiplier, ports={"in": "/numbers"})
+        harness.publish("/numbers", Int32(-1))
+        with pytest.raises(CallbackFailed, match="-1 is negative"):
+            harness.call("/nodelet/reset", TriggerRequest())
+
+    def test_an_error_of_a_handler_hides_none_of_a_callback(self, harness):
+        harness.load(Multiplier, ports={"in": "/numbers"})
+        harness.publish("/numbers", Int32(-1))
+        with pytest.raises(CallbackFailed):
+            harness.drain()
+        harness.publish("/numbers", Int32(-1))
+        with pytest.raises(ZeroDivisionError):
+            harness.call("/nodelet/fail", TriggerRequest())
+        with pytest.raises(CallbackFailed, match="1 callbacks raised, as before"):
+            harness.drain()
+
+    def test_an_error_at_the_end_fails_the_test_unless_another_did(self):
+        for error, expected in ((None, CallbackFailed), (KeyError, KeyError)):
+            with pytest.raises(expected), NodeletHarness() as harness:
+                harness.load(FailingAtTheEnd)
+                if error is not None:
+                    raise error
+        result = unittest.TestResult()
+        EndsBadly("test")(result)
+        assert "no end" in result.failures[0][1]
+
+    def test_a_subscriber_of_any_type_gets_serialised_messages(self, harness):
+        got, listened = [], harness.listen("/numbers")
+        nodelet = harness.load(Multiplier)
+        nodelet.nh.Subscriber("any", rospy.AnyMsg, got.append)
+        harness.connect(nodelet, {"any": "/numbers"})
+        harness.publish("/numbers", Int32(7))
+        harness.drain()
+        assert [(type(each), each._buff) for each in got] == [(rospy.AnyMsg, b"\x07\0\0\0")]
+        assert got[0]._connection_header["type"] == "std_msgs/Int32"
+        assert listened == [Int32(7)]
 
 
 class TestPorts:
@@ -243,6 +283,12 @@ class TestServices:
         answer = harness.call("/caller/switch", SetBoolRequest(data=True))
         assert (answer.success, answer.message) == (True, "reset")
 
+    def test_what_a_handler_raises_is_a_service_exception_to_a_nodelet(self, harness):
+        fail = harness.load(Multiplier).nh.ServiceProxy("~fail", Trigger)
+        with pytest.raises(rospy.ServiceException, match="division by zero"):
+            fail()
+        harness.drain()
+
 
 class Counted(Int32MultiArray):
     """A class that an author has derived."""
@@ -291,12 +337,6 @@ def test_messages_of_one_type_may_have_two_classes(
     assert (type(found), list(found.data)) == (arrives_as, [1, 2])
     assert (found is message) is (type(message) is arrives_as)
     assert isinstance(anything[0].data, np.ndarray) is (published is ARRAYS)
-
-    def test_what_a_handler_raises_is_a_service_exception_to_a_nodelet(self, harness):
-        fail = harness.load(Multiplier).nh.ServiceProxy("~fail", Trigger)
-        with pytest.raises(rospy.ServiceException, match="division by zero"):
-            fail()
-        harness.drain()
 
 
 class TestTime:
