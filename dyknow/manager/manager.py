@@ -17,7 +17,7 @@ from typing import Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow import names
 from dyknow.errors import DyKnowError, FixedTopics, HostError, HostTimeout, InvalidParameters
-from dyknow.manager.record import Record, with_present_ports
+from dyknow.manager.record import Record, with_present_ports, without_cut
 from dyknow.manager.specifications.given import completed, undeclared
 from dyknow.manager.specifications.specification import Specifications
 from dyknow.manager.steps import ReversibleStep, StepFailed, carry_out
@@ -202,7 +202,7 @@ class Manager:
 
     def _show(self, move: _Move) -> None:
         """Show the ports of a nodelet after a move; one that is brought back has them so, too."""
-        record = self.graph.get(move.name)
+        record = without_cut(self.graph.get(move.name), move.after)
         ports = self.host.ports(move.name)
         if record.state is State.RUNNING:
             self.graph.put(with_present_ports(record, ports))

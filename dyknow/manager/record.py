@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Container, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow import names
 from dyknow.errors import UnknownNodelet
@@ -65,7 +65,7 @@ class Record:
     host: str = ""  # its machine, as ROS names it
     pinned: str = ""  # the machine that its spawn named, where it is for life; empty for any
     heard: Heard = NOTHING_HEARD  # values of its variables in its messages
-    #: Ports that claims have disconnected, and the topics where users had connected them.
+    #: Ports that claims have moved, and the topics where users had them, empty if nowhere.
     cut: Tuple[Tuple[str, str], ...] = ()
     awaited: Tuple[str, ...] = ()  # declared ports that it has not made yet, or not at present
     #: A text that differs when its files do, as they were when it was loaded; empty if unknown.
@@ -97,6 +97,12 @@ class Record:
     def is_ending(self) -> bool:
         """Whether an unload of it may still be on its way, and is made certain."""
         return self.unwanted or self.superseded
+
+    @property
+    def owed(self) -> Dict[str, str]:
+        """Its ports that are not where users had them, with the topics of these."""
+        present = {port.name: port.topic for port in self.ports}
+        return {port: topic for port, topic in self.cut if present.get(port, topic) != topic}
 
     @property
     def is_complete(self) -> bool:
@@ -219,27 +225,27 @@ def awaited_ports(record: Record, ports: Iterable[PortState]) -> Tuple[str, ...]
 def with_present_ports(record: Record, ports: Tuple[PortState, ...]) -> Record:
     """Return a record with the ports of a proxy, whose topics are desired from now on."""
     seen, awaited = seen_ports(record, ports), awaited_ports(record, ports)
-    connected = {port.name for port in seen if port.topic}
-    cut = tuple(each for each in record.cut if each[0] not in connected)
-    record = replace(record, ports=seen, awaited=awaited, cut=cut)
+    moved = [port.name for port in seen if port.topic not in ("", record.topics.get(port.name))]
+    record = replace(without_cut(record, moved), ports=seen, awaited=awaited)
     return replace(record, topics=topics_of(record))
 
 
-def cut_since(before: Record, after: Record) -> Tuple[Tuple[str, str], ...]:
-    """Return the ports that a claim's change has left disconnected, and their topics before that.
+def with_cut(record: Record, ports: Iterable[str]) -> Record:
+    """Return a record that remembers where its user had ports that a claim moves.
 
     Those that claims connect as they need them are not among them.
     """
-    if before.claimed:
-        return ()
-    topics = {
-        port.name: port.topic
-        for port in before.ports
-        if port.topic and not (before.is_described and port.direction == IN and port.tags)
-    }
-    connected = {port.name for port in after.ports if port.topic}
-    known = sorted({**dict(before.cut), **topics}.items())
-    return tuple(each for each in known if each[0] not in connected)
+    if record.claimed:
+        return record
+    demanding = {port.name for port in record.ports if port.direction == IN and port.tags}
+    moved = [port for port in ports if not (record.is_described and port in demanding)]
+    cut = {**{port: record.topics.get(port, "") for port in moved}, **dict(record.cut)}
+    return replace(record, cut=tuple(sorted(cut.items())))
+
+
+def without_cut(record: Record, ports: Container[str]) -> Record:
+    """Return a record of a nodelet whose ports are where its user has them."""
+    return replace(record, cut=tuple([each for each in record.cut if each[0] not in ports]))
 
 
 def missing_connections(record: Record, ports: Iterable[PortState]) -> Dict[str, str]:

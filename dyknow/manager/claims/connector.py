@@ -25,9 +25,10 @@ from dyknow.manager.manager import Manager
 from dyknow.manager.record import (
     NOTHING_HEARD,
     Record,
-    cut_since,
     seen_ports,
+    with_cut,
     with_present_ports,
+    without_cut,
 )
 from dyknow.manager.steps import ReversibleStep, take_back
 from dyknow.manager.supervision.lifecycle import ManagerContext
@@ -116,6 +117,7 @@ class Connector:
         if record.is_fixed:
             raise FixedTopics(name, record.manager)
         try:
+            self._note(record, config)  # first: what is not answered may be done
             self._host.connect(name, config)
             self._show(name, config)
         except (HostError, Busy) as error:
@@ -153,6 +155,14 @@ class Connector:
                 else:
                     self._settle(name, self._clock())
 
+    def _note(self, record: Record, config: Config) -> None:
+        """Remember where the user of a nodelet has the ports that are about to be moved."""
+        if with_cut(record, config) == record:
+            return
+        with self._graph.changing(record.name, patience=_PATIENCE) as present:
+            if present is not None:
+                self._graph.put(with_cut(present, config))
+
     def _show(self, name: str, config: Config) -> None:
         with self._graph.changing(name, patience=_PATIENCE) as record:
             if record is None:
@@ -162,7 +172,7 @@ class Connector:
             )
             topics = {**record.topics, **config}
             after = replace(record, topics=topics, ports=seen_ports(record, ports))
-            after = replace(after, cut=cut_since(record, after))
+            after = without_cut(after, [p for p, topic in record.cut if config.get(p) == topic])
             if ends_of(after).listening != record.heard.topics:
                 after = replace(after, heard=NOTHING_HEARD)
             self._graph.put(after)

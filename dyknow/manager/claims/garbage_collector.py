@@ -135,11 +135,15 @@ class GarbageCollector:
                     self._disconnect(record, ports if is_ours else replaced)
 
     def give_back(self) -> None:
-        """Connect the ports of users that claims have cut, on topics without a client by now."""
-        taken = {claim.topic for claim in self._table.living}
-        for record in self._world().records.values():
-            for port, topic in record.cut:
-                if topic not in taken and self._is_reachable(record):
+        """Move the ports of users that no claim needs back, except to topics with a client."""
+        world = self._world()
+        taken = {claim.topic for claim in self._table.living} - {""}
+        for record in world.records.values():
+            if record.name in self._lock.reserved or not self._is_reachable(record):
+                continue
+            for port, topic in record.owed.items():
+                is_needed = (record.name, port, record.topics.get(port)) in world.wires
+                if topic not in taken and not is_needed:
                     connect = Transaction(self._context).connect_if_fitting
                     self._try(record, partial(connect, record, {port: topic}))
 

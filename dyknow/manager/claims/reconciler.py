@@ -251,7 +251,7 @@ class StreamReconciler:
 
     def _has_work(self) -> bool:
         return bool(self._table.living) or any(
-            record.claimed or record.cut for record in self.manager.graph.all()
+            record.claimed or record.owed for record in self.manager.graph.all()
         )
 
     def reconcile(self) -> None:

@@ -5,16 +5,23 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Dict, Mapping
 
 import pytest
 from unit.manager.field import IMAGE, POINT, Field, library, topic, transformation
 
-from dyknow.errors import HostError, NoPlanFound, NotSpawnable, SpecificationError
+from dyknow.errors import (
+    DyKnowError,
+    HostError,
+    NoPlanFound,
+    NotSpawnable,
+    SpecificationError,
+)
 from dyknow.manager.record import Record
 from dyknow.model.graph import NodeletKind, SpawnRequest
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import ClaimState, StreamRequest
 
 CAMERA = """<transformation type="node" node="/robot/camera"><label>driver</label>
   <ports><port type="out">image</port></ports>
@@ -137,6 +144,37 @@ def test_it_supplies_while_it_runs_and_is_replaced_when_it_ends(robot: Robot) ->
     robot.reconciler.release(claim.claim_id)
     robot.tidy()
     assert robot.topics("/robot/camera") == {"camera_info": "/info", "image": "/image"}
+
+
+@pytest.mark.parametrize("user_topic", ["/image", ""])
+@pytest.mark.parametrize("is_loaded", [True, False])
+def test_a_port_that_a_claim_used_comes_back_to_where_its_user_had_it(
+    robot: Robot, user_topic: str, is_loaded: bool
+) -> None:
+    robot.manager.add_transformation(CAMERA)
+    robot.run("/robot/camera", "robot/camera", {"image": user_topic, "camera_info": "/info"})
+    claims = []
+    if user_topic:
+        claims.append(robot.flowing("YUV(field)"))
+        robot.end("/robot/camera")
+        robot.settle()
+        robot.run_camera()
+        robot.settle()
+        assert "image" not in robot.topics("/robot/camera")
+    late = transformation("late", "robot/smooth", "in in,out out", "in YUV(field);out Late(field)")
+    robot.manager.add_transformation(late)
+    if not is_loaded:
+        robot.host.fail_at("load", "late")
+    request = StreamRequest("Late(field)", exclude=("bottom camera", "ceiling camera"))
+    with contextlib.nullcontext() if is_loaded else pytest.raises(DyKnowError):
+        claims.append(robot.reconciler.acquire(request).claim)
+    robot.settle()
+    assert bool(robot.topics("/robot/camera").get("image")) is is_loaded
+    for claim in claims:
+        robot.reconciler.release(claim.claim_id)
+    robot.tidy()
+    assert robot.topics("/robot/camera").get("image", "") == user_topic
+    assert robot.manager.graph.get("/robot/camera").owed == {}
 
 
 def test_a_node_that_does_not_run_is_named(robot: Robot) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Dict, Optional
+from typing import Callable, Dict, Mapping, Optional, Tuple
 from unittest import mock
 
 import pytest
@@ -24,7 +24,14 @@ from unit.manager.field import (
 )
 
 from dyknow.backoff import SHARE
-from dyknow.errors import Denied, InvalidTag, NoPlanFound, StreamTypeMismatch, UnknownClaim
+from dyknow.errors import (
+    Denied,
+    HostTimeout,
+    InvalidTag,
+    NoPlanFound,
+    StreamTypeMismatch,
+    UnknownClaim,
+)
 from dyknow.guards import Guards
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.repair import Fault
@@ -181,9 +188,10 @@ def test_a_part_that_is_back_leaves_its_topic_to_another(field: Field, is_restar
     assert field.host.publishers(claim.topic) == ["/mine"]
 
 
-@pytest.mark.parametrize("is_moved", [False, True])
+@pytest.mark.parametrize("is_answered", [True, False])
+@pytest.mark.parametrize("moves", [(), ("/other", ""), ("",)])
 def test_a_port_that_was_cut_comes_back_unless_its_user_has_moved_it(
-    field: Field, is_moved: bool
+    field: Field, moves: Tuple[str, ...], is_answered: bool
 ) -> None:
     for side in ("left", "right"):
         field.manager.add_transformation(topic(side, f"/{side}", f"Image({side})"))
@@ -193,14 +201,38 @@ def test_a_port_that_was_cut_comes_back_unless_its_user_has_moved_it(
     claim = field.flowing("Smooth(?side)")
     field.spawn("viewer", "/viewer", config={"in": claim.topic})
     field.host.topics.discard("/left")
-    field.settle()
+    connect = field.host.connect
+
+    def do(name: str, config: Mapping[str, str]) -> None:
+        connect(name, config)
+        if name == "/viewer" and not is_answered:
+            raise HostTimeout("it is done, but not answered")
+
+    with mock.patch.object(field.host, "connect", do):
+        field.settle()
     field.check_flows(claim)
     assert field.host.nodelet("/viewer").ports["in"].topic == ""
-    for moved in ("/other", "") if is_moved else ():
+    for moved in moves:
         field.manager.connect([("/viewer", {"in": moved})])
     field.reconciler.release(claim.claim_id)
     field.tidy()
-    assert field.host.nodelet("/viewer").ports["in"].topic == ("" if is_moved else claim.topic)
+    assert field.host.nodelet("/viewer").ports["in"].topic == ("" if moves else claim.topic)
+
+
+def test_a_port_that_was_cut_and_is_gone_is_left_alone(field: Field) -> None:
+    field.spawn("bottom camera", "/mine", config={"image": "/mine/image"}, isolated=True)
+    claim = field.acquire("YUV(field)").claim
+    field.settle()
+    manager = field.manager.graph.get("/mine").manager
+    field.host.hang(manager)
+    field.settle()
+    field.host.wake(manager)
+    field.tick()
+    del field.host.nodelet("/mine").ports["image"]
+    field.manager.look()
+    field.reconciler.release(claim.claim_id)
+    field.tidy()
+    assert field.reconciler.work() is None
 
 
 def test_parts_that_users_destroy_or_protect(field: Field) -> None:
