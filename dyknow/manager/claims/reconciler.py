@@ -269,7 +269,9 @@ class StreamReconciler:
             self._repair.forget_ended()
             # Claims that use another claim's stream come behind that one: a lost part that its
             # client listens to is replaced where that listens, and they follow, without a relay.
-            for claim in sorted(self._table.living, key=lambda each: len(each.nodelets)):
+            # Those that have no stream come last: their plans take time.
+            claims = self._table.living
+            for claim in sorted(claims, key=lambda each: (not each.is_made, len(each.nodelets))):
                 if claim.claim_id == self._lock.claim_id:
                     continue  # a request is about to make its stream
                 # No fault of one stream is to keep another one from its repair.

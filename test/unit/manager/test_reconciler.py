@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Dict, Mapping, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Tuple
 from unittest import mock
 
 import pytest
@@ -18,6 +18,7 @@ from unit.manager.field import (
     LIBRARY,
     POINT,
     Field,
+    counted_ids,
     library,
     topic,
     transformation,
@@ -482,6 +483,19 @@ def test_a_defect_about_one_stream_leaves_the_others_to_be_repaired(
 
 
 # The manager
+
+
+def test_streams_are_repaired_before_others_are_planned(
+    field: Field, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with counted_ids():
+        with pytest.raises(NoPlanFound) as refused:
+            field.acquire("Weather(field)")
+        made = field.acquire().claim
+    seen: List[str] = []
+    monkeypatch.setattr(field.reconciler._repair, "repair", seen.append)
+    field.tick()
+    assert seen == [made.claim_id, refused.value.claim_id]
 
 
 def test_claims_survive_the_manager(field: Field) -> None:
