@@ -37,8 +37,9 @@ from dyknow.locks import turn_lock
 IN_MEMORY = ":memory:"
 #: Changes with the tables. Rows had no checksums in format 1, and there were no children before 3.
 FORMAT = 3
-#: The fact with the labels of each specification file, in JSON; all other facts are numbers.
-LABELS_OF_FILES = "labels_of_files"
+#: The facts with the labels of each specification file and with the verdicts that forbid parts, in
+#: JSON; all other facts are numbers.
+LABELS_OF_FILES, BAD_VERDICTS = "labels_of_files", "bad_verdicts"
 #: The columns of each table that hold keys and texts.
 TABLES = {
     "facts": ("name", "value"),
@@ -158,6 +159,10 @@ class Store:
         """Read what was written as the fact ``LABELS_OF_FILES``."""
         return dict(json.loads(str(self.read("facts", _fact).get(LABELS_OF_FILES, "{}"))))
 
+    def bad_verdicts(self) -> dict[str, tuple[bool, float, str, list[str]]]:
+        """Read the fact ``BAD_VERDICTS``: by tag the value, time, cause and ids of claims."""
+        return dict(json.loads(str(self.read("facts", _fact).get(BAD_VERDICTS, "{}"))))
+
     def write(self, changes: Changes) -> None:
         """Write entries, all or none: to the disk or, as long as it does not take them, to memory.
 
@@ -180,9 +185,13 @@ class Store:
                 self._write()
 
     def end(self) -> None:
-        """Forget nodelets and claims: the manager is stopped on purpose. Transformations stay."""
+        """Forget nodelets, claims and verdicts: the manager is stopped on purpose."""
         with self._turn:
-            places = [place for place in self._rows if place[0] in ("nodelets", "claims")]
+            places = [
+                place
+                for place in self._rows
+                if place[0] in ("nodelets", "claims") or place[1] == BAD_VERDICTS
+            ]
         self.write(dict.fromkeys(places))
 
     def back_up(self) -> None:
@@ -375,7 +384,7 @@ class Store:
 
 
 def _fact(name: str, text: str) -> int | str:
-    return text if name == LABELS_OF_FILES else int(text)
+    return text if name in (LABELS_OF_FILES, BAD_VERDICTS) else int(text)
 
 
 def _trouble(error: BaseException) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
+from functools import lru_cache
 from typing import AbstractSet, Hashable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from dyknow.datatypes import ANY
@@ -257,27 +258,34 @@ class ClaimPlanner:
         causes = Obstacle(situation.demand, tuple(found))
         return NoPlan(situation.demand, (), False, obstacles=(causes,)) if found else None
 
-    def required(self, claims: Iterable[Claim]) -> frozenset[Term]:
-        """Return the tags of the verdicts that claims may depend on, and the verdicts in turn."""
+    def required(self, claims: Iterable[Claim]) -> dict[Term, set[str]]:
+        """Return the ids of the claims that may depend on verdicts, by the tags of these.
+
+        The verdicts may depend on verdicts in turn.
+        """
+        found: dict[Term, set[str]] = {}
         if not self._manager.library.guarded:
-            return frozenset()
+            return found
         known = self.transformations()
-        found: set[Term] = set()
-        waiting = [(claim.demand, frozenset(claim.request.exclude)) for claim in claims]
+        waiting = [
+            (claim.demand, frozenset(claim.request.exclude), claim.claim_id) for claim in claims
+        ]
         claimed = {name for name, each in self._world().records.items() if each.claimed}
         streams = [e for e in self._streams(NO_LABELS, NO_LABELS) if e[0].nodelet not in claimed]
         with self._planning(known) as (planner, _):
-            for demand, exclude in waiting:  # grows meanwhile
+            parts = lru_cache(None)(lambda *of: planner.parts(of[0], streams, of[1]))
+            for demand, exclude, claim_id in waiting:  # grows meanwhile
                 tags = {
                     tag
-                    for label, bindings in planner.parts(demand, streams, exclude)
+                    for label, bindings in parts(demand, exclude)
                     if label in known
                     for tag in required_tags(known[label], dict(bindings), str)
-                    if tag.is_ground and tag not in found
+                    if tag.is_ground and claim_id not in found.setdefault(tag, set())
                 }
-                found |= tags
-                waiting += [(Demand(frozenset([tag]), VERDICT), NO_LABELS) for tag in tags]
-        return frozenset(found)
+                for tag in tags:
+                    found[tag].add(claim_id)
+                    waiting.append((Demand(frozenset([tag]), VERDICT), NO_LABELS, claim_id))
+        return found
 
     def replaceable(self, claim: Claim) -> dict[str, str]:
         """Return the parts of a claim's stream that come from the library, with their labels."""

@@ -287,8 +287,8 @@ class StreamReconciler:
     def _hold_requirements(self) -> None:
         """Hold claims on the verdicts that the streams of clients may depend on."""
         claims = [claim for claim in self._table.living if not is_own(claim)]
-        wanted = {(claim.demand, claim.request.exclude) for claim in claims}
-        at = (self._planner.signature(), frozenset(wanted))
+        demands = frozenset((claim.claim_id, claim.demand) for claim in claims)
+        at = (self._planner.signature(), demands)
         if at != self._required_at:
             self._required_at = at
             self._monitor.requirements.hold(self._planner.required(claims))

@@ -7,6 +7,8 @@ A transformation may *require* verdicts, by their tags. While one is FALSE it is
 plan uses it, and its nodelets count as lost. It is available again when the verdict has been TRUE
 for some time, so nothing flaps. The verdicts come from claims of the manager's own: on those that
 transformations require which could have a part in the stream of a claim, and on no other verdict.
+FALSE counts until the verdict is TRUE, as long as a claim lives that could depend on it: even if
+an input of its stream is away meanwhile, or the manager is killed.
 
 A request may require a formula about its own stream, which a nodelet evaluates on the client's
 topic.
@@ -14,8 +16,9 @@ topic.
 
 from __future__ import annotations
 
+import json
 import uuid
-from typing import Callable, Iterable, Mapping
+from typing import Callable, Mapping
 
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.claim_table import ClaimTable
@@ -25,6 +28,7 @@ from dyknow.manager.host import HeardVerdict
 from dyknow.manager.planning.problem import NO_VERDICTS, Verdicts, canonical_tag, required_tags
 from dyknow.manager.record import Record
 from dyknow.manager.specifications.tags import Term, parse_tag
+from dyknow.manager.store import BAD_VERDICTS
 from dyknow.manager.supervision.lifecycle import ManagerContext
 from dyknow.model.graph import State
 from dyknow.model.streams import ClaimState, StreamRequest
@@ -53,6 +57,7 @@ class Requirements:
         """``recover`` are the seconds for which a verdict has to be TRUE after it was FALSE."""
         self._host = context.host
         self._library = context.library
+        self._store = context.store
         self._clock = context.clock.now
         self._table = table
         self._world = world
@@ -60,14 +65,20 @@ class Requirements:
         self._followed: set[str] = set()
         self._heard: Mapping[str, HeardVerdict] = {}
         self._tags: dict[Term, HeardVerdict] = {}
+        #: Ids of the living claims that could depend on a verdict at some time.
+        self._users: dict[Term, set[str]] = {}
+        for tag, (is_true, stamp, why, users) in context.store.bad_verdicts().items():
+            heard = HeardVerdict(is_true, self._clock(), stamp, why, was_false=True)
+            self._tags[parse_tag(tag)], self._users[parse_tag(tag)] = heard, set(users)
         self.verdicts = NO_VERDICTS  # the verdicts of the last round
+        self._judge()
         #: Why nodelets and topics are lost, by their names.
         self.unavailable: Mapping[str, str] = {}
 
     # The manager's own claims
 
-    def hold(self, wanted: Iterable[Term]) -> None:
-        """Hold claims on these verdicts, and on no other verdict."""
+    def hold(self, wanted: Mapping[Term, set[str]]) -> None:
+        """Hold claims on these verdicts, which claims may depend on, and on no other verdict."""
         tags = {str(tag) for tag in wanted}
         held = {each.request.tag: each for each in self._table.living if is_own(each)}
         for tag in sorted(tags - held.keys()):
@@ -76,6 +87,12 @@ class Requirements:
         for tag in sorted(held.keys() - tags):
             reason = "no transformation that a claim could use requires it any more"
             self._table.end(held[tag].claim_id, ClaimState.RELEASED, reason)
+        living = {each.claim_id for each in self._table.living if not is_own(each)}
+        canonical = self._library.ontology.canonical
+        users = {tag: ids & living for tag, ids in self._users.items() if tag in self._tags}
+        for written, ids in wanted.items():
+            users.setdefault(canonical_tag(written, canonical), set()).update(ids)
+        self._users = {tag: ids for tag, ids in users.items() if ids}
 
     # Verdicts
 
@@ -84,19 +101,34 @@ class Requirements:
         own = {each.topic: each for each in self._table.living if is_own(each) and each.topic}
         monitors = [topic_of_verdicts(each) for each in self._table.living]
         topics = {*own, *monitors} - {""}
-        if not topics and not self._followed:
+        if not (topics or self._followed or self._tags):
             return
         self._followed = topics
         self._heard = self._host.verdicts(topics)
+        bad = self.verdicts.bad & self._users.keys()  # of the last round
+        self._tags = {tag: heard for tag, heard in self._tags.items() if tag in bad}
         canonical = self._library.ontology.canonical
-        self._tags = {
-            canonical_tag(parse_tag(claim.request.tag), canonical): self._heard[topic]
-            for topic, claim in own.items()
-            if topic in self._heard
-        }
+        for topic, claim in own.items():
+            heard = self._heard.get(topic)
+            if heard is not None:
+                tag = canonical_tag(parse_tag(claim.request.tag), canonical)
+                # What this topic does not know: the verdict was FALSE on an earlier one.
+                self._tags[tag] = heard if heard.was_false else heard.after(self._tags.get(tag))
+        self._judge()
+        self._write_bad()
+        self.unavailable = self._found_unavailable(is_in_use=True) if self.verdicts.bad else {}
+
+    def _judge(self) -> None:
         good = {tag for tag, heard in self._tags.items() if self._is_good(heard)}
         self.verdicts = Verdicts(frozenset(good), frozenset(self._tags.keys() - good))
-        self.unavailable = self._found_unavailable(is_in_use=True) if self.verdicts.bad else {}
+
+    def _write_bad(self) -> None:
+        bad = {
+            str(tag): (heard.is_true, heard.stamp, heard.why, sorted(self._users.get(tag, ())))
+            for tag, heard in self._tags.items()
+            if tag in self.verdicts.bad
+        }
+        self._store.write({("facts", BAD_VERDICTS): json.dumps(bad) if bad else None})
 
     def _is_good(self, heard: HeardVerdict) -> bool:
         is_back = not heard.was_false or self._clock() - heard.heard >= self._recover

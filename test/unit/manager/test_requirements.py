@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Collection, Dict, List
+from typing import Any, Callable, Collection, Dict, List, Sequence
 
 import pytest
 from charged_robot import CHARGED, FORMULAS
@@ -20,7 +20,7 @@ from dyknow.manager.claim import Claim
 from dyknow.manager.claims.requirements import CLIENT, is_own
 from dyknow.manager.host import HeardVerdict
 from dyknow.manager.specifications.tags import Bindings
-from dyknow.model.streams import ClaimState
+from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import VERDICT
 
 
@@ -245,6 +245,62 @@ def test_verdicts_are_heard_again_after_a_restart(field: Field) -> None:
     assert field.state(claim.claim_id) is ClaimState.ACTIVE
     field.tidy()
     assert cameras(field) == ["ceiling camera"]
+
+
+def absent(field: Field) -> None:
+    """Let no claim need the verdict for a moment, since another input is away."""
+    field.host.topics.discard("/joint_states")
+    field.settle()
+    assert own(field) == {}
+    field.host.topics.add("/joint_states")
+
+
+def released(field: Field) -> None:
+    field.reconciler.release(own(field)[CHARGED].claim_id)
+
+
+def killed(field: Field) -> None:
+    field.host.verdicts(())  # those that it heard are lost
+    field.kill_manager()
+
+
+@pytest.mark.parametrize("forget", [absent, released, killed])
+def test_false_counts_until_the_verdict_has_been_true(
+    field: Field, forget: Callable[[Field], None]
+) -> None:
+    claim = field.acquire().claim
+    field.settle()
+    decide(field, required(field), False, 30.0)
+
+    def spawned() -> Sequence[str]:
+        """What a claim would use that is cheaper."""
+        return field.reconciler.replan(claim.claim_id, dry_run=True).spawned
+
+    forget(field)
+    for _ in range(20):
+        assert field.reconciler.acquire(StreamRequest("YUV(field)"), dry_run=True).spawned == ()
+        field.tick()
+    assert spawned() == ()
+    field.host.decide(required(field), True)
+    field.tick(1.9)
+    assert spawned() == ()
+    field.tick(0.2)
+    assert spawned() == ("bottom camera",)
+
+
+def test_false_is_forgotten_with_the_claims_that_could_depend_on_it(field: Field) -> None:
+    """A client that does not wait would be refused for ever: no claim listens."""
+    field.manager.remove_transformation("ceiling camera")
+    field.acquire("Battery(nao)")
+    claim = field.acquire().claim
+    field.settle()
+    decide(field, required(field), False)
+    field.reconciler.release(claim.claim_id)
+    field.kill_manager()
+    field.tidy()
+    assert own(field) == field.store.bad_verdicts() == {}
+    field.acquire()
+    assert cameras(field) == ["bottom camera"]
 
 
 @pytest.mark.parametrize("initially", [True, False])
