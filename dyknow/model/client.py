@@ -169,7 +169,7 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def find_bindings(self, tag: str, datatype: str = "") -> Tuple[str, ...]:
-        """Return the bindings under which a stream of a tag exists or can be made.
+        """Return the bindings under which a tag's stream exists or, verdicts aside, can be made.
 
         Returns:
             For each binding its variables, such as ``?camera=left, ?robot=nao``. A tag without

@@ -355,10 +355,14 @@ class ClaimPlanner:
         return self._priced(answer, own, situation.known) if is_cheaper else None
 
     def bindings(self, demand: Demand) -> tuple[list[Bindings], bool]:
-        """Find the names that a demand's variables can stand for, and whether these are all."""
-        streams = self._without_relays(self._streams(NO_LABELS, self._monitor.unfit().keys()))
+        """Find the names that a demand's variables can stand for, and whether these are all.
+
+        Verdicts are disregarded: they are heard while there are claims that depend on them.
+        """
+        unfit = self._monitor.unfit(by_verdicts=False).keys()
+        streams = self._without_relays(self._streams(NO_LABELS, unfit))
         with self._planning(self.transformations()) as (planner, _):
-            return planner.bindings(demand, streams, self._monitor.requirements.verdicts)
+            return planner.bindings(demand, streams, verdicts=None)
 
     def assigned(self, plan: Plan, own: Sequence[OwnNodelet]) -> dict[Instance, str]:
         """Choose nodelets for the steps of a plan; the other steps need new ones."""

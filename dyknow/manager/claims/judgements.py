@@ -106,12 +106,16 @@ class StreamMonitor:
         is_movable = record.state is State.RUNNING and not record.is_fixed
         return is_movable and record.name not in self._meter.unresponsive
 
-    def unfit(self, claims: Iterable[Claim] = ()) -> dict[str, str]:
-        """Say why no claim, or none of these claims, can rely on nodelets and topics."""
+    def unfit(self, claims: Iterable[Claim] = (), by_verdicts: bool = True) -> dict[str, str]:
+        """Say why no claim, or none of these claims, can rely on nodelets and topics.
+
+        Parts that are only not available by the verdicts that they require can be left out.
+        """
         claims = list(claims)
         found = {name: f"nodelet {name} does not answer" for name in self._meter.unresponsive}
-        found.update(self.requirements.unavailable)
-        if self._library.guarded:
+        if by_verdicts:
+            found.update(self.requirements.unavailable)
+        if by_verdicts and self._library.guarded:
             found.update(self.requirements.untried())
         for key in (_ALL, *[claim.claim_id for claim in claims]):
             for name, each in self._shortfalls.get(key, {}).items():

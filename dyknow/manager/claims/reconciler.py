@@ -184,7 +184,7 @@ class StreamReconciler:
             self._table.report(claim.claim_id, news)
 
     def find_bindings(self, tag: str, datatype: str = "") -> tuple[list[Bindings], bool]:
-        """Find the names for which a stream of a tag is there or can be made.
+        """Find the names for which a stream of a tag is there or, verdicts aside, can be made.
 
         Returns the names that its variables stand for in each way, sorted, and whether these are
         all.

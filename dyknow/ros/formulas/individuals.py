@@ -15,6 +15,7 @@ from dyknow.errors import BadParameter, DyKnowError
 from dyknow.formulas import Formula, Monitor, Verdict
 from dyknow.locks import state_lock
 from dyknow.manager.specifications.tags import parse_tag, tag_of_individuals
+from dyknow.model.streams import ClaimState
 from dyknow.periodic import PeriodicWorker
 from dyknow.ros.acquiring import AcquiredStream, acquire
 from dyknow.ros.client import ManagerClient
@@ -22,6 +23,8 @@ from dyknow.ros.formulas.message_types import known_class
 
 #: Seconds between two looks for individuals that have come or gone.
 _PERIOD = 1.0
+#: The states of a stream whose individual is present.
+_PRESENT = (ClaimState.ACTIVE, ClaimState.RECOVERING)
 
 Subscribe = Callable[[str, str, str, Any], Any]
 """Subscribes a port, for an individual, to a topic of a class; the answer has ``unregister``."""
@@ -94,7 +97,8 @@ class IndividualStreams:
         self._classes = classes
         self._subscribe = subscribe
         self._client_id = client_id
-        self._streams: dict[tuple[str, str], tuple[AcquiredStream, Any]] = {}
+        #: The streams, and their subscribers; None for one that cannot be made yet.
+        self._streams: dict[tuple[str, str], tuple[AcquiredStream, Any | None]] = {}
         self._closed = False
         self._state_lock = state_lock("individuals of a formula")
         #: Tags of streams that are of no use here: to acquire one may spawn nodelets.
@@ -115,7 +119,7 @@ class IndividualStreams:
             self._remove(key)
 
     def present(self) -> dict[str, list[str]] | None:
-        """Return the individuals of each variable that have a stream at each of its ports.
+        """Return the individuals of each variable that have active streams at all its ports.
 
         None before the first look for them.
         """
@@ -124,7 +128,11 @@ class IndividualStreams:
         found: dict[str, set[str]] = {}
         for port, term in self._terms.items():
             (variable,) = term.variables
-            names = {name for of_port, name in list(self._streams) if of_port == port}
+            names = {
+                name
+                for (of_port, name), (stream, subscriber) in list(self._streams.items())
+                if of_port == port and subscriber is not None and stream.state in _PRESENT
+            }
             found[variable] = found.get(variable, names) & names
         return {variable: sorted(names) for variable, names in found.items()}
 
@@ -139,42 +147,53 @@ class IndividualStreams:
             here = {name for of_port, name in list(self._streams) if of_port == port}
             for name in sorted(here - names):
                 self._remove((port, name))
-            for name in sorted(names - here):
+            for name in sorted(names):
                 self._try_to_add(port, name, str(term.substitute({term.variables[0]: name})))
         self.is_known = True
 
     def _try_to_add(self, port: str, name: str, tag: str) -> None:
-        if self._closed or not self._useless.allows(tag):
+        stream, subscriber = self._streams.get((port, name), (None, None))
+        if subscriber is not None or self._closed or not self._useless.allows(tag):
             return
         try:
-            self._add(port, name, tag)
-            self._told.discard(tag)
+            why = self._add(port, name, tag, stream)
         except DyKnowError as error:
             self._useless.failed(tag)
-            if tag not in self._told:
-                rospy.logwarn("the individual %s has no stream %s: %s", name, tag, error)
-            self._told.add(tag)
+            why = str(error)
+        if why and tag not in self._told:
+            rospy.logwarn("the individual %s has no stream %s: %s", name, tag, why)
+        (self._told.add if why else self._told.discard)(tag)
 
-    def _add(self, port: str, name: str, tag: str) -> None:
+    def _add(self, port: str, name: str, tag: str, known: AcquiredStream | None) -> str:
+        """Acquire a stream that is not known, and subscribe to it; say why it cannot be made."""
         kind = self._classes.get(port, "")
-        stream = acquire(tag, kind, client_id=self._client_id, manager=self._client.manager)
+        # One that a verdict forbids is pending: the verdict is heard as long as a claim needs it.
+        stream = known or acquire(
+            tag, kind, pending=True, client_id=self._client_id, manager=self._client.manager
+        )
+        subscriber = None
         try:
-            kind = kind or known_class(stream.datatype)
-            subscriber = self._subscribe(port, name, stream.topic, kind)
+            if stream.topic:
+                kind = kind or known_class(stream.datatype)
+                subscriber = self._subscribe(port, name, stream.topic, kind)
         except BaseException:
+            self._streams.pop((port, name), None)
             stream.release()
             raise
         with self._state_lock:
             if not self._closed:
                 self._streams[port, name] = stream, subscriber
-                return
-        subscriber.unregister()
+                return "" if subscriber is not None else stream.detail
+        if subscriber is not None:
+            subscriber.unregister()
         stream.release()
+        return ""
 
     def _remove(self, key: tuple[str, str]) -> None:
         with self._state_lock:
             found = self._streams.pop(key, None)
         if found is not None:
             stream, subscriber = found
-            subscriber.unregister()
+            if subscriber is not None:
+                subscriber.unregister()
             stream.release()

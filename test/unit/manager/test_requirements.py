@@ -19,7 +19,6 @@ from dyknow.formulas import Truth, parse
 from dyknow.manager.claim import Claim
 from dyknow.manager.claims.requirements import CLIENT, is_own
 from dyknow.manager.host import HeardVerdict
-from dyknow.manager.specifications.tags import Bindings
 from dyknow.model.streams import ClaimState, StreamRequest
 from dyknow.model.transformation import VERDICT
 
@@ -304,20 +303,27 @@ def test_false_is_forgotten_with_the_claims_that_could_depend_on_it(field: Field
 
 
 @pytest.mark.parametrize("initially", [True, False])
-def test_bindings_are_found_by_the_verdicts_that_hold(field: Field, initially: bool) -> None:
-    eye = transformation("eye", "soccer/Camera", "out image", "image Eye(left)")
+@pytest.mark.parametrize(
+    "eye",
+    [
+        transformation("eye", "soccer/Camera", "out image", "image Eye(left)"),
+        topic("eye", "/eye", "Eye(left)"),
+    ],
+    ids=["nodelet", "topic"],
+)
+def test_bindings_are_found_whatever_the_verdicts_are(
+    field: Field, eye: str, initially: bool
+) -> None:
+    """A claim on the stream of each is necessary to hear its verdict."""
+    field.host.topics.add("/eye")
     field.manager.add_transformation(requiring("eye", CHARGED, initially=initially, library=eye))
-
-    def found() -> List[Bindings]:
-        return field.reconciler.find_bindings("Eye(?which)")[0]
-
-    left: List[Bindings] = [(("?which", "left"),)]
-    assert found() == (left if initially else [])
-    field.acquire()
+    found = [(("?which", "left"),)], True
+    assert field.reconciler.find_bindings("Eye(?which)") == found
+    field.acquire("Planes(field)")
     field.settle()
     for is_true in (False, True):
         decide(field, required(field), is_true, 5.0)
-        assert found() == (left if is_true else [])
+        assert field.reconciler.find_bindings("Eye(?which)") == found
 
 
 CALM = "Holds(calm, nao)"

@@ -166,6 +166,29 @@ def test_a_stream_of_no_use_is_released_and_the_next_one_acquired(around, told, 
     assert found.present() == {"?c": ["a", "b"]}
 
 
+def test_an_individual_is_present_while_its_stream_is_active(around, told):
+    """Its claim stays meanwhile: the manager hears the verdicts that claims need."""
+    around.meanwhile = lambda: vars(around.acquired[-1]).update(
+        topic="", state=ClaimState.PENDING, detail="it is FALSE"
+    )
+    found = streams(around)
+    found._look()
+    found._look()
+    assert found.present() == {"?c": []}
+    assert around.subscribed == []
+    first, _ = around.acquired
+    first.topic = "/Flag(a)"
+    for state in (ClaimState.ACTIVE, ClaimState.DEGRADED, ClaimState.ACTIVE):
+        first.state = state
+        found._look()
+        assert found.present() == {"?c": ["a"] if state is ClaimState.ACTIVE else []}
+    assert around.subscribed == ["/Flag(a)"]
+    assert around.requests == ["Flag(a)", "Flag(b)"]
+    assert told == [f"the individual {c} has no stream Flag({c}): it is FALSE" for c in "ab"]
+    found.close()
+    assert around.open == around.subscribed == []
+
+
 def test_a_subscriber_that_is_refused_leaves_no_claim(around, told):
     around.refusal = "a"
     found = streams(around)
