@@ -23,8 +23,8 @@ from dyknow.ros.formulas.message_types import known_class
 
 #: Seconds between two looks for individuals that have come or gone.
 _PERIOD = 1.0
-#: The states of a stream whose individual is present.
-_PRESENT = (ClaimState.ACTIVE, ClaimState.RECOVERING)
+#: The states of a stream whose individual is present; one that is in trouble is judged by it.
+_PRESENT = (ClaimState.ACTIVE, ClaimState.DEGRADED, ClaimState.RECOVERING)
 
 Subscribe = Callable[[str, str, str, Any], Any]
 """Subscribes a port, for an individual, to a topic of a class; the answer has ``unregister``."""
@@ -119,7 +119,7 @@ class IndividualStreams:
             self._remove(key)
 
     def present(self) -> dict[str, list[str]] | None:
-        """Return the individuals of each variable that have active streams at all its ports.
+        """Return the individuals of each variable that have a stream at each of its ports.
 
         None before the first look for them.
         """

@@ -166,7 +166,7 @@ def test_a_stream_of_no_use_is_released_and_the_next_one_acquired(around, told, 
     assert found.present() == {"?c": ["a", "b"]}
 
 
-def test_an_individual_is_present_while_its_stream_is_active(around, told):
+def test_an_individual_is_present_while_it_has_a_stream(around, told):
     """Its claim stays meanwhile: the manager hears the verdicts that claims need."""
     around.meanwhile = lambda: vars(around.acquired[-1]).update(
         topic="", state=ClaimState.PENDING, detail="it is FALSE"
@@ -178,10 +178,10 @@ def test_an_individual_is_present_while_its_stream_is_active(around, told):
     assert around.subscribed == []
     first, _ = around.acquired
     first.topic = "/Flag(a)"
-    for state in (ClaimState.ACTIVE, ClaimState.DEGRADED, ClaimState.ACTIVE):
+    for state in (ClaimState.ACTIVE, ClaimState.FAILED, ClaimState.DEGRADED):
         first.state = state
         found._look()
-        assert found.present() == {"?c": ["a"] if state is ClaimState.ACTIVE else []}
+        assert found.present() == {"?c": ["a"] if state is not ClaimState.FAILED else []}
     assert around.subscribed == ["/Flag(a)"]
     assert around.requests == ["Flag(a)", "Flag(b)"]
     assert told == [f"the individual {c} has no stream Flag({c}): it is FALSE" for c in "ab"]
