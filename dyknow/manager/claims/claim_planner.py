@@ -37,6 +37,7 @@ from dyknow.manager.planning.problem import (
     Wishes,
     meets,
     required_tags,
+    source_name,
     ways_to_meet,
 )
 from dyknow.manager.planning.request import matched
@@ -73,7 +74,7 @@ class Situation(NamedTuple):
     paused: frozenset[str]  # labels of which nothing is to be made since they failed lately
     external: frozenset[str]  # labels of external nodes, of which none is made
     wishes: Wishes
-    #: Labels upstream of each nodelet of the streams, where there are wishes.
+    #: Parts upstream of each nodelet of the streams, where there are wishes.
     upstream: Mapping[str, frozenset[str]]
     budget: float  # seconds that the improvement of the plan may take
     known: Transformations
@@ -512,14 +513,23 @@ class ClaimPlanner:
     def _upstream(
         self, claim: Claim, streams: Iterable[TaggedStream]
     ) -> dict[str, frozenset[str]]:
-        """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
+        """Parts upstream of each nodelet of streams, where the claim has wishes about them."""
         if claim.wishes == NO_WISHES:
             return {}
-        world, found = self._world(), {}
+        world, found, streams = self._world(), {}, list(streams)
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
             wiring, topics = world.upstream([name], self.ordinary)
-            found[name] = frozenset(self._labels(wiring.keys() - {name}, topics))
+            found[name] = self._parts(wiring.keys() - {name}, topics, streams)
         return found
+
+    def _parts(
+        self, nodelets: Iterable[str], topics: Iterable[str], streams: Iterable[TaggedStream]
+    ) -> frozenset[str]:
+        """Nodelets and topics by their names, or labels where streams do not include theirs."""
+        nodelets, topics = set(nodelets), set(topics)
+        named = {source_name(stream) for stream, _ in streams}
+        labels = self._labels(nodelets - named, topics - named)
+        return frozenset({*((nodelets | topics) & named), *labels})
 
     def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> list[str]:
         """Labels of nodelets that run, and of ordinary topics."""
@@ -613,11 +623,11 @@ class ClaimPlanner:
             return price
         exclude = frozenset(claim.request.exclude)
         demand = demand_of(self._table.together(claim))
-        streams = self._streams(exclude, self._monitor.unfit().keys())
+        streams = list(self._streams(exclude, self._monitor.unfit().keys()))
         with self._planning(known) as (planner, _):
             charges = planner.charges(demand, streams, exclude, wishes)
-        labels = self._labels(claim.nodelets, claim.sources)
-        return price + sum(charges.get(label, 0) for label in labels)
+        parts = self._parts(claim.nodelets, claim.sources, streams)
+        return price + sum(charges.get(each, 0) for each in parts)
 
     def _saved(
         self, claim: Claim, own: Iterable[OwnNodelet], known: Transformations

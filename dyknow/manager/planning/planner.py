@@ -40,6 +40,7 @@ from dyknow.manager.planning.problem import (
     Streams,
     Verdicts,
     Wishes,
+    source_name,
 )
 from dyknow.manager.planning.reasons import no_plan, too_few
 from dyknow.manager.planning.request import NEVER, NO_FEEDERS, Request
@@ -115,8 +116,9 @@ class Planner:
         Streams that are ``live`` exist, and cost nothing. Labels of ``exclude`` must not be used,
         live or new; of ``paused`` ones no new nodelet is made. Nodelets of ``free`` labels can be
         connected elsewhere at no cost, each with bindings that it has to keep. ``feeders`` are
-        labels of the feeders of live streams, by nodelet; ``verdicts`` those that transformations
-        require, None to disregard them; ``refused`` ROS types that the stream must not have.
+        those of live streams, as `charges` knows them, by nodelet; ``verdicts`` those that
+        transformations require, None to disregard them; ``refused`` ROS types that the stream
+        must not have.
 
         Beyond the budget (s) a plan is looked for, but not improved. It counts steps, so equal
         problems have equal plans; the clock ends the improvement only where a step takes long.
@@ -174,7 +176,10 @@ class Planner:
         wishes: Wishes,
         library: OperatorIndex | None = None,
     ) -> dict[str, int]:
-        """Return the charges of the parts that may help to meet a demand, by label.
+        """Return the charges of the parts that may help to meet a demand.
+
+        New ones are known by their labels, running ones by their names (`source_name`): the tags
+        of these bear names where those of their transformations have variables.
 
         A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
         preferred one could supply as well is charged `NOT_PREFERRED`, unless it is preferred
@@ -188,9 +193,12 @@ class Planner:
         request = Request(library, demand, streams, exclude)
         request.is_whole = True
         tags: dict[str, set[Term]] = {}
+        labels: dict[str, str] = {}
         for stream, terms in streams:
             if stream.label not in exclude:
-                tags.setdefault(stream.label, set()).update(terms)
+                name = source_name(stream)
+                tags.setdefault(name, set()).update(terms)
+                labels[name] = stream.label
         suppliers: list[set[str]] = []
         for pattern in Reach(request).patterns:
             facts = [head for head, _ in request.facts(pattern)]
@@ -199,14 +207,15 @@ class Planner:
             for action in new:
                 for head in action.heads:
                     tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
-            suppliers.append({*[e.label for e in new], *[head.label for head in facts]})
+            running = [source_name(head.live) for head in facts if head.live is not None]
+            suppliers.append({*[e.label for e in new], *running})
 
         def meant(wanted: Iterable[str]) -> frozenset[str]:
             concepts = frozenset(map(names.canonical, wanted))
             return frozenset(
-                label
-                for label, terms in tags.items()
-                if label in wanted
+                each
+                for each, terms in tags.items()
+                if labels.get(each, each) in wanted
                 or any(
                     not concepts.isdisjoint(names.above(names.canonical(name)))
                     for term in terms
@@ -218,8 +227,8 @@ class Planner:
         charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
         preferred = meant(wishes.prefer)
         others = {each for some in suppliers if preferred & some for each in some - preferred}
-        for label in others:
-            charges[label] = charges.get(label, 0) + NOT_PREFERRED
+        for part in others:
+            charges[part] = charges.get(part, 0) + NOT_PREFERRED
         return charges
 
     @without_collection()

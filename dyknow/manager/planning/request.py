@@ -44,6 +44,7 @@ from dyknow.manager.planning.problem import (
     Free,
     TaggedStream,
     Verdicts,
+    source_name,
 )
 from dyknow.model.transformation import OUT, Port
 
@@ -131,7 +132,7 @@ class Request:
             if each[0].label in exclude:
                 self._unusable.append(each)
             else:
-                by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
+                by_name.setdefault(source_name(each[0]), []).append(each)
         heads = [
             replace(head, cost=floor)
             for action, floor in self._floors.items()
@@ -139,8 +140,8 @@ class Request:
             for head in action.heads
         ]
         for name, some in by_name.items():
-            labels = {some[0][0].label, *feeders.get(some[0][0].nodelet, ())}
-            heads += self._source(name, sum([charges.get(e, 0) for e in labels]), some)
+            parts = {name, *feeders.get(some[0][0].nodelet, ())}
+            heads += self._source(name, sum([charges.get(e, 0) for e in parts]), some)
         self._local = bucketed(heads)
 
     def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> tuple[Head, ...]:

@@ -29,7 +29,14 @@ from unit.manager.planning.random_problems import (
     with_wishes,
 )
 
-from dyknow.manager.planning.problem import NO_VERDICTS, Answer, Demand, NoPlan, Plan
+from dyknow.manager.planning.problem import (
+    NO_VERDICTS,
+    Answer,
+    Demand,
+    NoPlan,
+    Plan,
+    source_name,
+)
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -63,9 +70,9 @@ def charged(problem: Problem) -> Problem:
     ]
     live = []
     for number, (stream, terms) in enumerate(problem.live):
-        if stream.label in charges:
+        cost = charges.get(source_name(stream), 0)
+        if cost:
             port = Port("out0", "out", stream.datatype, tuple(map(str, terms)))
-            cost = charges[stream.label]
             library.append(Transformation(f"live{number}", "", cost=cost, ports=(port,)))
         else:
             live.append((stream, terms))

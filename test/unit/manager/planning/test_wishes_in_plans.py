@@ -76,6 +76,21 @@ def test_what_runs_is_charged_too() -> None:
     assert "/ceiling_1" in tree_as_dot(tree)
 
 
+def test_a_running_part_is_meant_by_names_that_new_ones_need_not_bear() -> None:
+    library = [
+        camera("robot", 1, "Raw(robot_camera)"),
+        camera("above", 10, "Raw(ceiling_camera)"),
+        make("tracker", ["Raw(?x)"], ["Position(?x)"]),
+        make("spare tracker", ["Raw(?x)"], ["Position(?x)"], 100),
+    ]
+    running = Live("/position", "o0", "/tracker_1", "tracker", "")
+    live: Tuple[TaggedStream, ...] = ((running, (parse_tag("Position(robot_camera)"),)),)
+    for wishes in (Wishes((), ("robot_camera",)), Wishes(("ceiling_camera",), ("robot_camera",))):
+        answer = planner_with(library).plan(demand("Position(?x)"), live, wishes=wishes)
+        assert isinstance(answer, Plan)
+        assert (labels(answer), answer.cost) == (["above", "tracker"], 11)
+
+
 def test_what_feeds_a_running_part_is_charged_with_it() -> None:
     stream: TaggedStream = (
         Live("/f", "o0", "/filter_1", "filter", ""),
