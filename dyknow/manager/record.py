@@ -101,6 +101,8 @@ class Record:
     @property
     def owed(self) -> Dict[str, str]:
         """Its ports that are not where users had them, with the topics of these."""
+        if not self.cut:
+            return {}
         present = {port.name: port.topic for port in self.ports}
         return {port: topic for port, topic in self.cut if present.get(port, topic) != topic}
 

@@ -139,9 +139,10 @@ class GarbageCollector:
         world = self._world()
         taken = {claim.topic for claim in self._table.living} - {""}
         for record in world.records.values():
-            if record.name in self._lock.reserved or not self._is_reachable(record):
+            owed = record.owed
+            if not owed or record.name in self._lock.reserved or not self._is_reachable(record):
                 continue
-            for port, topic in record.owed.items():
+            for port, topic in owed.items():
                 is_needed = (record.name, port, record.topics.get(port)) in world.wires
                 if topic not in taken and not is_needed:
                     connect = Transaction(self._context).connect_if_fitting
