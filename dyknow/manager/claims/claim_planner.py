@@ -511,23 +511,23 @@ class ClaimPlanner:
         return tuple([each for each in streams if each[0].nodelet not in relays])
 
     def _upstream(
-        self, claim: Claim, streams: Iterable[TaggedStream]
+        self, claim: Claim, streams: Sequence[TaggedStream]
     ) -> dict[str, frozenset[str]]:
         """Parts upstream of each nodelet of streams, where the claim has wishes about them."""
         if claim.wishes == NO_WISHES:
             return {}
-        world, found, streams = self._world(), {}, list(streams)
+        world, found = self._world(), {}
+        named = {source_name(stream) for stream, _ in streams}
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
             wiring, topics = world.upstream([name], self.ordinary)
-            found[name] = self._parts(wiring.keys() - {name}, topics, streams)
+            found[name] = self._parts(wiring.keys() - {name}, topics, named)
         return found
 
     def _parts(
-        self, nodelets: Iterable[str], topics: Iterable[str], streams: Iterable[TaggedStream]
+        self, nodelets: Iterable[str], topics: Iterable[str], named: AbstractSet[str]
     ) -> frozenset[str]:
-        """Nodelets and topics by their names, or labels where streams do not include theirs."""
+        """Nodelets and topics by their names, or labels where ``named`` does not include these."""
         nodelets, topics = set(nodelets), set(topics)
-        named = {source_name(stream) for stream, _ in streams}
         labels = self._labels(nodelets - named, topics - named)
         return frozenset({*((nodelets | topics) & named), *labels})
 
@@ -623,10 +623,11 @@ class ClaimPlanner:
             return price
         exclude = frozenset(claim.request.exclude)
         demand = demand_of(self._table.together(claim))
-        streams = list(self._streams(exclude, self._monitor.unfit().keys()))
+        streams = self._streams(exclude, self._monitor.unfit().keys())
         with self._planning(known) as (planner, _):
             charges = planner.charges(demand, streams, exclude, wishes)
-        parts = self._parts(claim.nodelets, claim.sources, streams)
+        named = {source_name(stream) for stream, _ in streams}
+        parts = self._parts(claim.nodelets, claim.sources, named)
         return price + sum(charges.get(each, 0) for each in parts)
 
     def _saved(
