@@ -326,8 +326,8 @@ def _global(name: str) -> str:
 def remappings_of_ports(nodelet: str, ports: Mapping[str, str]) -> dict[str, str]:
     """Return the remappings that connect ports of a nodelet at its load.
 
-    Not those that it declares by a private handle without ``~``, which nobody knows yet: its
-    parameters and services may have these names.
+    Ports that it declares by a private handle without ``~`` are not among them: its parameters and
+    services may have these names.
     """
     space = names.parent(nodelet)
     return {
