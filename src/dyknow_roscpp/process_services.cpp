@@ -338,25 +338,30 @@ private:
   void offerInTurn(const std::shared_ptr<NodeletProxy>& proxy)
   {
     const auto node = Registry::instance().node();
-    if (proxy == node)
+    const bool is_of_node = proxy == node || !isNodeletManager();
+    if (is_of_node)
     {
       Guards::readRewirable();  // a nodelet manager's was read before
     }
-    else if (!isNodeletManager())
-    {
-      offerInTurn(node);  // it loads nodelets by itself: DyKnow managers find them by its services
-    }
     offerProcessInTurn();
+    advertiseAll(proxy);
+    proxy->is_offered = true;  // after its services: a manager that polls calls them
+    if (is_of_node)
+    {
+      advertiseAll(node);  // it may load nodelets by itself: DyKnow managers find them by its services
+      advertiseChanges();  // last: managers poll it at once
+    }
+  }
+
+  /// Offers the services of a nodelet.
+  void advertiseAll(const std::shared_ptr<NodeletProxy>& proxy)
+  {
     advertise<GetConfigEvent>(proxy->name + "/get_config",
                               [proxy](GetConfigEvent& event) { return getConfig(*proxy, event); }, queue_);
     advertise<SetConfigEvent>(proxy->name + "/set_config",
                               [proxy](SetConfigEvent& event) { return setConfig(*proxy, event); }, queue_);
     advertise<GetStatisticsEvent>(proxy->name + "/get_statistics", [proxy](GetStatisticsEvent& event)
                                   { return getStatistics(*proxy, event); }, queue_);
-    if (proxy == node)
-    {
-      advertiseChanges();  // last: managers poll it at once
-    }
   }
 
   /// Calls what is in a queue, on one more thread.
@@ -546,7 +551,7 @@ private:
 
 void offerServices(const std::shared_ptr<NodeletProxy>& proxy)
 {
-  if (!proxy->is_offered.exchange(true))
+  if (!proxy->is_offered)
   {
     Services::instance().offer(proxy);
     announceChange(proxy->name);
