@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import socket
 import struct
 import threading
@@ -106,7 +107,9 @@ class SmallManager:
         self.ended = threading.Event()
         self.connections = 0
         self.error = ""
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        # An address of its own: a client of an ended test may call whatever has its port now.
+        host = f"127.{os.getpid() % 254 + 1}.{self.pid >> 8}.{self.pid & 255}"
+        self._listener = socket.create_server((host, 0))
         where = self._listener.getsockname()
         self._node = XmlRpc(
             {
@@ -117,7 +120,7 @@ class SmallManager:
             }
         )
         self.uri = self._node.uri
-        self.service = f"rosrpc://127.0.0.1:{where[1]}"
+        self.service = f"rosrpc://{host}:{where[1]}"
         self._open: List[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
         self.living.add(self)
