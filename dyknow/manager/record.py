@@ -100,8 +100,8 @@ class Record:
 
     @property
     def owed(self) -> Dict[str, str]:
-        """Its ports that are not where users had them, with the topics of these."""
-        if not self.cut:
+        """Its ports that can be moved back to where users had them, with the topics of these."""
+        if not self.cut or self.is_fixed:
             return {}
         present = {port.name: port.topic for port in self.ports}
         return {port: topic for port, topic in self.cut if present.get(port, topic) != topic}

@@ -45,6 +45,7 @@ from dyknow.manager.record import (
     missing_connections,
     seen_ports,
     topics_of,
+    with_cut,
 )
 from dyknow.manager.specifications.given import completed, names_of, set_on_load
 from dyknow.manager.store import Store
@@ -116,7 +117,7 @@ class Lifecycle:
         self._timeout = context.spawn_timeout
         self._library = context.library
         self._pause = state_condition("ports of nodes that start")
-        self.fitting = context.keeper.fitting
+        self._fitting = context.keeper.fitting
         #: Nodelets that are isolated since they crashed their processes.
         self.suspects = Suspects(context.clock.now)
         self.hosts = HostTable(context.host, context.clock.now)  # where they run
@@ -211,7 +212,7 @@ class Lifecycle:
             place = self._place(starting)
             starting = replace(starting, manager=place, code=self._code(starting, place))
             self._graph.put(starting)
-            starting = replace(starting, topics=self.fitting(starting))
+            starting = self.fitted(starting)
             running = self._bring_up(starting)
         except NameTaken as error:  # if it is a nodelet of ours, the next look finds it
             problem = error
@@ -236,6 +237,12 @@ class Lifecycle:
             _log.info("%s is back", record.name)
         self._graph.put(running)
         return problem
+
+    def fitted(self, record: Record) -> Record:
+        """Disconnect the ports that must not be connected at present; claims give them back."""
+        topics = self._fitting(record)
+        cut = [port for port, topic in record.topics.items() if topics.get(port) != topic]
+        return replace(with_cut(record, cut), topics=topics)
 
     def _judged(self, record: Record) -> Record:
         """Isolate a nodelet that is suspected of having crashed its process."""

@@ -257,10 +257,12 @@ class Observer:
     def _update(self, record: Record, state: ProcessState) -> None:
         """Update the record of a nodelet that runs."""
         if record.state in (State.STARTING, State.FAILED):
-            trouble = self._complete(record)
+            wanted = self._lifecycle.fitted(record)
+            trouble = self._complete(wanted)
             if trouble:
                 self._graph.put(replace(record, detail=trouble))
                 return
+            record = wanted
         record = replace(
             record,
             transformation=self._description(record),
@@ -307,12 +309,11 @@ class Observer:
 
         Returns why it is not finished; empty if it is.
         """
-        wanted = replace(record, topics=self._lifecycle.fitting(record))
         try:
             if record.is_fixed:  # its present wiring cannot be known
                 self._host.unload(record.manager, record.name)
                 return "it is loaded again, since its wiring is not known"
-            wiring = missing_connections(wanted, self._host.ports(record.name))
+            wiring = missing_connections(record, self._host.ports(record.name))
             if wiring:
                 self._host.connect(record.name, wiring)
         except HostError as error:

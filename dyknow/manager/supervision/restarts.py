@@ -221,8 +221,12 @@ class Restarts:
         after = self._graph.get(before.name)
         present = {port.name for port in after.declared}
         for port in before.declared:
-            if port.name not in present:
-                topic = before.topics.get(port.name)
+            topic = before.topics.get(port.name)
+            if port.name in present:
+                if topic and not after.topics.get(port.name):
+                    what = f"its connection to {topic} does not fit now"
+                    yield f"port '{port.name}' of {before.name} is cut: {what}"
+            else:
                 tail = f", and its connection to {topic} with it" if topic else ""
                 yield f"port '{port.name}' of {before.name} is gone{tail}"
         yield from undeclared(after.transformation, after.parameters)

@@ -23,6 +23,7 @@ from unit.manager.field import (
     topic,
     transformation,
 )
+from unit.manager.world import Killed
 
 from dyknow.backoff import SHARE
 from dyknow.errors import (
@@ -189,18 +190,25 @@ def test_a_part_that_is_back_leaves_its_topic_to_another(field: Field, is_restar
     assert field.host.publishers(claim.topic) == ["/mine"]
 
 
+def view(field: Field, is_left: bool = True) -> Claim:
+    """Make a stream, and the viewer of a user on its topic, which is for the left image."""
+    for side in ("left", "right"):
+        field.manager.add_transformation(topic(side, f"/{side}", f"Image({side})"))
+        if is_left or side == "right":
+            field.host.topics.add(f"/{side}")
+    field.add("smooth", {"in": ("in", ["Image(?side)"]), "out": ("out", ["Smooth(?side)"])})
+    field.add("viewer", {"in": ("in", ["Smooth(left)"])})
+    claim = field.flowing("Smooth(?side)")
+    field.spawn("viewer", "/viewer", config={"in": claim.topic}, isolated=True)
+    return claim
+
+
 @pytest.mark.parametrize("is_answered", [True, False])
 @pytest.mark.parametrize("moves", [(), ("/other", ""), ("",)])
 def test_a_port_that_was_cut_comes_back_unless_its_user_has_moved_it(
     field: Field, moves: Tuple[str, ...], is_answered: bool
 ) -> None:
-    for side in ("left", "right"):
-        field.manager.add_transformation(topic(side, f"/{side}", f"Image({side})"))
-        field.host.topics.add(f"/{side}")
-    field.add("smooth", {"in": ("in", ["Image(?side)"]), "out": ("out", ["Smooth(?side)"])})
-    field.add("viewer", {"in": ("in", ["Smooth(left)"])})
-    claim = field.flowing("Smooth(?side)")
-    field.spawn("viewer", "/viewer", config={"in": claim.topic})
+    claim = view(field)
     field.host.topics.discard("/left")
     connect = field.host.connect
 
@@ -218,6 +226,36 @@ def test_a_port_that_was_cut_comes_back_unless_its_user_has_moved_it(
     field.reconciler.release(claim.claim_id)
     field.tidy()
     assert field.host.nodelet("/viewer").ports["in"].topic == ("" if moves else claim.topic)
+
+
+@pytest.mark.parametrize("end", ["death", "manager killed", "load failed", "restart"])
+def test_a_port_that_does_not_fit_when_its_nodelet_comes_back_is_cut(
+    tmp_path: Path, end: str
+) -> None:
+    field = Field(f"{tmp_path}/state")
+    claim = view(field, is_left=False)
+    manager = field.manager.graph.get("/viewer").manager
+    if end == "restart":
+        what = f"its connection to {claim.topic} does not fit now"
+        assert field.manager.restart("/viewer").remarks == f"port 'in' of /viewer is cut: {what}"
+    else:
+        field.host.kill(manager)
+    if end == "manager killed":
+        field.host.fail_at("loaded", error=Killed())
+        with pytest.raises(Killed):
+            field.manager.look()
+        field.host.recover()
+        field.kill_manager()
+    elif end == "load failed":
+        field.host.fail_at("load", "viewer")
+        field.settle()
+        field.host.recover()
+    field.settle(5.0)
+    assert field.manager.graph.get("/viewer").state is State.RUNNING
+    assert field.host.nodelet("/viewer").ports["in"].topic == ""
+    field.reconciler.release(claim.claim_id)
+    field.tidy()
+    assert field.host.nodelet("/viewer").ports["in"].topic == claim.topic
 
 
 def test_a_port_that_was_cut_and_is_gone_is_left_alone(field: Field) -> None:
