@@ -294,11 +294,15 @@ class StreamReconciler:
             self._monitor.requirements.hold(self._planner.required(claims))
 
     def end(self) -> None:
-        """End every claim, since the manager is stopped on purpose; nothing is repaired later."""
+        """End every claim and give ports back, since the manager is stopped on purpose."""
         with self._lock.round():
             self._ended = True
         for claim in self._table.living:
             self._table.end(claim.claim_id, ClaimState.RELEASED, "the manager was stopped")
+        with self._lock.round():
+            if any(record.owed for record in self.manager.graph.all()):
+                self._collector.disconnect()  # some may be in the way
+                self._collector.give_back()
 
 
 def open_reconciler(

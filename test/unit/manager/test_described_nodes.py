@@ -177,6 +177,33 @@ def test_a_port_that_a_claim_used_comes_back_to_where_its_user_had_it(
     assert robot.manager.graph.get("/robot/camera").owed == {}
 
 
+def test_a_port_that_a_claim_used_comes_back_when_the_manager_is_stopped(robot: Robot) -> None:
+    robot.manager.add_transformation(CAMERA)
+    robot.run_camera()
+    robot.flowing("YUV(field)")
+    robot.end("/robot/camera")
+    robot.settle()
+    robot.run_camera()
+    robot.settle()
+    assert robot.topics("/robot/camera") == {"camera_info": "/info"}
+    robot.reconciler.end()
+    robot.manager.end()
+    assert robot.host.nodelet("/robot/camera").ports["image"].topic == "/image"
+    assert robot.store.read("nodelets", Record.from_body) == {}
+
+
+def test_a_port_that_was_in_the_way_comes_back_when_the_manager_is_stopped(robot: Robot) -> None:
+    robot.flowing("Planes(field)")
+    topic = robot.host.nodelet("/subsampler_1").ports["yuv"].topic
+    robot.manager.add_transformation(CAMERA.replace("YUV(field)", "Other(field)"))
+    robot.run("/robot/camera", "robot/camera", {"image": topic, "camera_info": "/info"})
+    robot.settle()
+    assert robot.topics("/robot/camera") == {"camera_info": "/info"}
+    robot.reconciler.end()
+    robot.manager.end()
+    assert robot.host.nodelet("/robot/camera").ports["image"].topic == topic
+
+
 def test_a_node_that_does_not_run_is_named(robot: Robot) -> None:
     robot.manager.add_transformation(LOCALIZATION.replace("FieldPosition", "Place"))
     with pytest.raises(NoPlanFound, match="node /robot/where does not run"):
