@@ -207,20 +207,21 @@ class StreamMonitor:
             known = self._streams[claim.claim_id] = Stream(claim, self._clock())
         return known.follow(claim, self._graph)
 
-    def _watched(self, limited: Iterable[tuple[Limit, Stream]]) -> dict[Place, Watch]:
+    def _watched(self, limited: Collection[tuple[Limit, Stream]]) -> dict[Place, Watch]:
         """Return how each place is counted."""
         wanted = [
             (place, limit.watch(limit.of(stream.claim)))
             for limit, stream in limited
             for place in stream.topics
         ]
-        # Parts that no claim uses any more are watched until they are gone.
+        # Nodelets that no claim uses any more are watched until they are gone, topics while
+        # there are limits.
         wanted += [
             (place, each.limit.watch(needed) if key else Watch(FIRST_MESSAGE / COUNTS, WINDOW))
             for key, shortfalls in self._shortfalls.items()
             for each in shortfalls.values()
             for place, needed, _ in [each.judgement]
-            if place[0] or key
+            if place[0] or limited
         ]
         wanted += [
             (self._stream(claim).goal, Watch(_FIRST_MESSAGE_PERIOD))

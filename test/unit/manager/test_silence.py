@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import List
 
 import pytest
-from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, POINT, Field, Ports, topic
+from unit.manager.field import CHAIN, FIRST_MESSAGE, GOAL, IMAGE, POINT, Field, Ports, topic
 
 from dyknow.errors import HostTimeout
 from dyknow.model.streams import NO_MESSAGE, ClaimState
@@ -80,6 +80,27 @@ def test_two_silent_in_turns_replace_each_other_at_once(field: Field, service: f
         field.host.silent.clear()
         for _ in range(int(service / 0.1)):
             field.tick(0.1)
+
+
+def test_topics_that_stay_silent_leave_the_stream_degraded(field: Field) -> None:
+    for side in ("left", "right"):
+        field.manager.add_transformation(topic(side, f"/{side}", "Image(x)", datatype=IMAGE))
+        field.host.topics.add(f"/{side}")
+    claim = field.flowing("Image(x)", max_silence=1.0)
+    field.host.silent |= {"/left", "/right"}
+    for _ in range(50):
+        field.tick()
+    assert field.state(claim.claim_id) is ClaimState.DEGRADED
+    begin = len(field.events)
+    for _ in range(300):
+        field.tick()
+    assert field.reasons()[begin:] == []
+    field.host.silent.clear()
+    field.settle(10.0)
+    field.check_flows(claim)
+    field.reconciler.release(claim.claim_id)
+    field.tidy()
+    assert field.host.listeners == []
 
 
 # A process hangs, and only the counts show it
