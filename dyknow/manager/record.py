@@ -90,8 +90,8 @@ class Record:
 
     @property
     def is_stored(self) -> bool:
-        """Whether it outlives the manager: an external node only with what nothing else shows."""
-        return self.is_spawned or bool(self.is_described and (self.heard.ways or self.cut))
+        """Whether it outlives the manager: external ones only with what nothing else shows."""
+        return self.is_spawned or bool(self.cut or (self.is_described and self.heard.ways))
 
     @property
     def is_ending(self) -> bool:

@@ -195,7 +195,7 @@ class Observer:
 
     def _trouble(self, record: Record, fate: Fate, report: HostReport) -> str:
         """Say why a nodelet is lost, or not up yet, with its nodelet manager; else empty."""
-        if record.transformation is None or record.is_ending:
+        if record.is_ending or not (record.transformation or record.cut):
             return ""
         if record.state is State.FAILED:
             return ""
@@ -241,7 +241,8 @@ class Observer:
             elif current.is_ending:
                 return fate is not Fate.SILENT
             elif current.transformation is None:
-                self._graph.remove(record.name)
+                if fate is not Fate.SILENT or not current.cut:  # nothing else shows what was cut
+                    self._graph.remove(record.name)
             elif fate is Fate.UNLISTED and self._is_unlisted(current):
                 if current.state is not State.RUNNING:
                     return True  # it failed, or the manager was killed while it brought it back

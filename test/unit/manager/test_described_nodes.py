@@ -177,6 +177,29 @@ def test_a_port_that_a_claim_used_comes_back_to_where_its_user_had_it(
     assert robot.manager.graph.get("/robot/camera").owed == {}
 
 
+@pytest.mark.parametrize("trouble", ["killed manager", "hang"])
+def test_a_port_of_a_node_without_a_description_comes_back_too(robot: Robot, trouble: str) -> None:
+    claim = robot.flowing("YUV(field)")
+    robot.run("/stray", "robot/camera", {"image": claim.topic, "camera_info": "/info"})
+    robot.settle()
+    assert robot.topics("/stray") == {"camera_info": "/info"}
+    if trouble == "hang":
+        robot.host.hang("/stray")
+        robot.tick()
+        assert robot.manager.graph.get("/stray").detail == "it does not answer"
+        robot.host.wake("/stray")
+    else:
+        robot.kill_manager()
+    robot.settle()
+    robot.reconciler.release(claim.claim_id)
+    robot.tidy()
+    assert robot.topics("/stray") == {"camera_info": "/info", "image": claim.topic}
+    assert robot.store.read("nodelets", Record.from_body) == {}
+    robot.end("/stray")
+    robot.settle()
+    assert robot.manager.graph.find("/stray") is None
+
+
 def test_a_port_that_a_claim_used_comes_back_when_the_manager_is_stopped(robot: Robot) -> None:
     robot.manager.add_transformation(CAMERA)
     robot.run_camera()
