@@ -33,7 +33,7 @@ from dyknow.manager.claims.judgements import StreamMonitor
 from dyknow.manager.claims.repair import Repair
 from dyknow.manager.claims.requirements import is_own
 from dyknow.manager.manager import Manager
-from dyknow.manager.planning.problem import Demand, NoPlan
+from dyknow.manager.planning.problem import Demand, Live, NoPlan, Plan
 from dyknow.manager.specifications.tags import Bindings, parse_tag
 from dyknow.manager.supervision.lifecycle import ManagerContext, StreamKeeper
 from dyknow.manager.supervision.observer import PERIOD
@@ -138,7 +138,11 @@ class StreamReconciler:
                 if isinstance(answer, NoPlan):
                     missing = answer
                     break
-                made = self._repair.make(claim, answer, lenient=True)
+                if self._is_as_planned(claim, answer):
+                    kept = replace(claim, detail=self._monitor.restart(claim))
+                    made = Acquired(kept, answer, (), claim.nodelets)
+                else:
+                    made = self._repair.make(claim, answer, lenient=True)
                 reason = "; ".join(["replanned on request", *made.remarks])
                 changed = self._table.change(claim_id, reason, **made.changes)
                 self._lock.free()  # it is made
@@ -215,6 +219,11 @@ class StreamReconciler:
             if cheaper is not None:
                 return claim, Proposal(situation, cheaper)
             return claim, self._planner.propose(claim, lenient=True)
+
+    def _is_as_planned(self, claim: Claim, plan: Plan) -> bool:
+        """Whether a claim's stream is whole and what a plan would make of it."""
+        is_there = isinstance(plan.goal, Live) and plan.goal.topic == claim.topic
+        return is_there and not plan.steps and self._repair.diagnose(claim) is None
 
     def _explained(self, claim: Claim, proposal: Proposal) -> Acquired:
         """Answer a dry run: labels of new nodelets, and names of those that would be used."""

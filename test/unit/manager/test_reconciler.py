@@ -70,6 +70,16 @@ def test_the_same_request_is_the_same_claim(field: Field) -> None:
     assert explained.plan is not None
 
 
+def test_replanning_a_stream_that_is_whole_makes_nothing(field: Field) -> None:
+    claim = field.flowing("YUV(field)", require="present(it)")
+    field.host.calls.clear()
+    assert field.reconciler.replan(claim.claim_id).spawned == ()
+    assert not {"load", "unload", "connect"} & {operation for operation, _ in field.host.calls}
+    field.settle()
+    assert field.claim(claim.claim_id).wiring == field.events[0].after.wiring
+    field.check_flows(claim)
+
+
 def test_a_relative_topic_begins_in_the_manager_s_namespace(field: Field) -> None:
     field.manager.add_transformation(topic("weather", "weather", "Weather"))
     field.host.topics.add("/weather")
