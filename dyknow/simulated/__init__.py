@@ -320,6 +320,8 @@ class SimulatedManagerClient(BaseManagerClient):
         self._tell_model()
 
     def _pass(self, seconds: float) -> None:
+        if isinstance(self._clock, SimulatedClock):
+            self._clock.time += seconds
         self.host.flow()
 
     def _tell_model(self) -> None:

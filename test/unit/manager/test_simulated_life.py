@@ -13,7 +13,7 @@ from unit.manager.field import library, specification
 from dyknow.errors import HostError
 from dyknow.manager.supervision.observer import PERIOD
 from dyknow.model.graph import SpawnRequest
-from dyknow.model.streams import ClaimState, StreamRequest
+from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 from dyknow.periodic import PAUSE
 from dyknow.simulated import SimulatedClock, SimulatedManagerClient
 
@@ -49,6 +49,17 @@ def test_a_silent_part_is_replaced_as_soon_as_its_claim_says() -> None:
     active = [when - silent for when, state in life.events if state is ClaimState.ACTIVE]
     assert any(0.0 <= each <= 1.0 for each in active)
     assert {each.transformation for each in life.client.get_graph().nodelets} >= {"spare"}
+
+
+def test_a_replacement_that_sends_nothing_takes_over_after_a_while() -> None:
+    life = Life()
+    life.client.advance(2.0)
+    life.client.host.silent.add("pkg/Spare")
+    life.client.remove_transformation("camera")
+    life.client.advance(10.0)
+    (claim,) = life.client.list_streams()
+    assert (claim.state, claim.detail) == (ClaimState.ACTIVE, NO_MESSAGE)
+    assert life.clock.time == pytest.approx(12.0, abs=0.1)
 
 
 def test_after_the_last_claim_its_nodelets_go_and_the_loop_sleeps() -> None:
