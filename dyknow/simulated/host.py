@@ -392,10 +392,11 @@ class FakeHost(Host):
             and state.isolated_for == isolated_for
             and state.responsive
         ]
-        alive = [state.name for state in fitting if state.alive]
-        if alive:
-            return alive[0]
-        return self._start(fitting[0].name if fitting else self._new_name(), kind, isolated_for)
+        fitting.sort(key=lambda state: not state.alive)
+        for state in fitting:
+            if not state.alive:
+                self._start(state.name, kind, isolated_for)
+        return fitting[0].name if fitting else self._start(self._new_name(), kind, isolated_for)
 
     def retire(self, manager: str) -> None:
         self._step("retire", manager)

@@ -12,7 +12,7 @@ from unit.manager.field import library, specification
 
 from dyknow.errors import HostError
 from dyknow.manager.supervision.observer import PERIOD
-from dyknow.model.graph import SpawnRequest
+from dyknow.model.graph import NodeletKind, SpawnRequest, State
 from dyknow.model.streams import NO_MESSAGE, ClaimState, StreamRequest
 from dyknow.periodic import PAUSE
 from dyknow.simulated import SimulatedClock, SimulatedManagerClient
@@ -60,6 +60,17 @@ def test_a_replacement_that_sends_nothing_takes_over_after_a_while() -> None:
     (claim,) = life.client.list_streams()
     assert (claim.state, claim.detail) == (ClaimState.ACTIVE, NO_MESSAGE)
     assert life.clock.time == pytest.approx(12.0, abs=0.1)
+
+
+def test_each_nodelet_manager_that_dies_comes_back() -> None:
+    client = SimulatedManagerClient(clock=SimulatedClock())
+    client.add_transformation(LIBRARY)
+    client.spawn_nodelet(SpawnRequest("camera", "/mine"))
+    client.host.widen(NodeletKind.PYTHON)
+    client.host.kill(client.get_graph().nodelets[0].manager)
+    client.advance(1.0)
+    (nodelet,) = client.get_graph().nodelets
+    assert (nodelet.state, nodelet.detail) == (State.RUNNING, "")
 
 
 def test_after_the_last_claim_its_nodelets_go_and_the_loop_sleeps() -> None:
