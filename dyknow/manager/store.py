@@ -164,10 +164,7 @@ class Store:
         return dict(json.loads(str(self.read("facts", _fact).get(BAD_VERDICTS, "{}"))))
 
     def write(self, changes: Changes) -> None:
-        """Write entries, all or none: to the disk or, as long as it does not take them, to memory.
-
-        Entries of ``later`` are written with them.
-        """
+        """Write entries, all or none: to memory as long as the disk does not take them."""
         with self._turn:
             if self._change(changes) and self._clock() >= self._retry_at:
                 self._write()
