@@ -215,10 +215,17 @@ class OrdinaryHandles(rospy.SubscribeListener):
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             with self._publisher_held():  # nothing is published between missed and later messages
                 made = self._outbound(connection, self._queue_size)
-                added = add(made)
-                for message in self.backlog.missed_by(address):
-                    outwards(message, made)
-                return added
+                latched, missed = publisher.latch, self.backlog.missed_by(address)
+                if any(each is latched for each in missed):
+                    publisher.latch = None  # rospy would send it first, and again
+                try:
+                    added = add(made)
+                    latched = publisher.latch or latched  # a listener may have published
+                    for message in missed:
+                        outwards(message, made)
+                    return added
+                finally:
+                    publisher.latch = latched
 
         publisher.publish = publish
         publisher.add_connection = add_connection

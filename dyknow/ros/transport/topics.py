@@ -193,7 +193,7 @@ class RospyPublisher(OutsidePublisher):
                 self._size = implementation.message_data_sent - sent
                 if peer is not None:
                     implementation.latch = latched
-                elif not implementation.is_latch:  # a later subscriber gets the last one anyway
+                else:
                     self._ordinary.backlog.keep(message)
             except Exception as error:
                 if self._closed:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import socket
 import struct
@@ -12,6 +13,7 @@ import weakref
 from types import SimpleNamespace
 from typing import Any, Iterator
 
+import genpy
 import pytest
 import rospy.topics
 from clocks import PATIENCE, in_thread, join
@@ -114,6 +116,35 @@ def test_messages_for_a_late_subscriber_of_such_a_nodelet_are_kept_too(topic):
     loaded = topic.advertise(5)
     publish(loaded)
     assert received(topic.subscribe("/late")) == list(range(COUNT - 5, COUNT))
+
+
+@pytest.mark.parametrize("is_latching", [False, True], ids=["beside it", "of it"])
+def test_a_late_subscriber_of_a_latching_publication_gets_what_it_missed_once(topic, is_latching):
+    topic.notified = frozenset(("/late",))
+    latching = topic.advertise(COUNT, latch=True)
+    latching.wait(0.0)
+    topic.notified = frozenset()
+    send = latching.latch if is_latching else topic.advertise(COUNT).publish
+    latching.latch(String("0 as of a port that moves"))
+    for number in range(1, COUNT - 1):
+        send(String(str(number)))
+    there = topic.subscribe("/late")
+    latching.latch(String(f"{COUNT - 1} as the last one"))
+    assert received(there) == list(range(COUNT))
+    assert received(topic.subscribe("/later")) == [COUNT - 1]
+
+
+@pytest.mark.parametrize("is_bad", [False, True])
+def test_what_a_late_subscriber_missed_is_not_latched_in_place_of_what_is(topic, is_bad):
+    topic.notified = frozenset(("/late",))
+    publisher = topic.advertise(COUNT)
+    publisher.wait(0.0)
+    publisher.publish(String(0 if is_bad else "0"))
+    topic.implementation.enable_latch()
+    topic.implementation.publish(String(f"{COUNT - 1} of an ordinary publisher"))
+    with pytest.raises(genpy.SerializationError) if is_bad else contextlib.nullcontext():
+        topic.subscribe("/late")
+    assert topic.implementation.latch.data.endswith("of an ordinary publisher")
 
 
 @pytest.mark.parametrize(
