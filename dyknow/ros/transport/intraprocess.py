@@ -180,8 +180,22 @@ class OrdinaryHandles(rospy.SubscribeListener):
     def unlatch(self, registration: Any) -> Any:
         """Forget a publication's message; returns what rospy is to latch instead, or None."""
         self._latches.pop(registration, None)
+        self._forget_ordinary()
+        return self._latest()
+
+    def _latest(self) -> Any:
         latest = (list(self._latches) or [None])[-1]
         return self._latches.get(None) if latest is None else latest.sent
+
+    def _forget_ordinary(self) -> None:
+        """Forget the message of ordinary publishers once none of them is left."""
+        if None not in self._latches:
+            return
+        with self._publisher_held() as publisher:
+            ours = [each for each in list(self.registrations) if each.is_registered]
+            if publisher.ref_count <= len(ours):
+                self._latches.pop(None, None)
+                publisher.latch = self._latest()
 
     def _fenced(self) -> list[Any]:
         return [each for each in list(self.registrations) if each.is_fenced()]
@@ -215,6 +229,7 @@ class OrdinaryHandles(rospy.SubscribeListener):
             address = self._address(connection.endpoint_id) if self.backlog.open else ""
             with self._publisher_held():  # nothing is published between missed and later messages
                 made = self._outbound(connection, self._queue_size)
+                self._forget_ordinary()
                 latched, missed = publisher.latch, self.backlog.missed_by(address)
                 if any(each is latched for each in missed):
                     publisher.latch = None  # rospy would send it first, and again
@@ -398,6 +413,7 @@ class OrdinaryHandles(rospy.SubscribeListener):
 
         The bus delivers its own latched messages to its own subscribers.
         """
+        self._forget_ordinary()
         if ordinary and None in self._latches:
             self._hand_over(self._latches[None], [each for each in newcomers if _is_ours(each[0])])
         fenced = self._fenced()

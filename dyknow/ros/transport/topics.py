@@ -87,6 +87,7 @@ class RospyPublisher(OutsidePublisher):
         self._shared_memory = shared_memory
         #: Bytes of the message before.
         self._size = 0
+        self._publisher: Any = None  # rospy's
         self._ordinary = intraprocess.publishing(topic)
         self._ordinary.registrations.add(self)
         self._ordinary.widen(queue_size)
@@ -103,6 +104,11 @@ class RospyPublisher(OutsidePublisher):
         self._notified = registrar.subscribers(topic) or frozenset()
         self._late = registrar.late
         self._ordinary.refresh()
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether rospy counts it among the publishers of the topic."""
+        return self._publisher is not None
 
     def _connections(self) -> tuple[Any, ...]:
         return tuple(self._implementation.connections or ())
@@ -170,10 +176,10 @@ class RospyPublisher(OutsidePublisher):
             return
         self._closed = True
         self._ordinary.registrations.discard(self)
+        self._publisher.unregister()
         successor = self._ordinary.unlatch(self)
         if self.sent is not None and self._implementation.latch is self.sent:
             self._implementation.latch = successor
-        self._publisher.unregister()
         self._intraprocess.retire(self._topic)
 
     def _send(self, message: Any, peer: Any = None) -> None:

@@ -24,6 +24,7 @@ from std_msgs.msg import String
 from dyknow.nodelet.scheduler import ManualExecutor
 from dyknow.nodelet.streams.endpoints import Publication
 from dyknow.ros.transport import intraprocess, topics
+from dyknow.ros.transport.conversions import TypedReceiver
 from dyknow.ros.transport.intraprocess import OrdinaryHandles
 from dyknow.ros.transport.late_subscribers import LONGEST, LateSubscribers
 from dyknow.ros.transport.outbound import Outbound
@@ -49,14 +50,23 @@ class Topic:
     def _registered(self, *arguments: Any, queue_size: int, **options: Any) -> Any:
         self.implementation.set_queue_size(queue_size)
         self.implementation.is_latch |= options["latch"]
-        return SimpleNamespace(impl=self.implementation)
+        self.implementation.ref_count += 1
+        return SimpleNamespace(impl=self.implementation, unregister=self._unregister)
+
+    def _unregister(self) -> None:
+        self.implementation.ref_count -= 1
 
     def advertise(self, queue_size: int, latch: bool = False) -> RospyPublisher:
-        intraprocess: Any = SimpleNamespace(publishing=lambda topic: self.handles)
+        intraprocess: Any = SimpleNamespace(publishing=lambda topic: self.handles, retire=str)
         subscribers = lambda topic: self.notified  # noqa: E731
         registrar: Any = SimpleNamespace(subscribers=subscribers, late=LateSubscribers())
         memory: Any = SimpleNamespace(publish=lambda *arguments: False)
         return RospyPublisher(intraprocess, memory, registrar, "/t", String, latch, queue_size, {})
+
+    def ordinary(self) -> Any:
+        """Make an ordinary publisher that latches."""
+        self._registered(queue_size=1, latch=True)
+        return self.implementation
 
     def subscribe(self, node: str = "/recorder", is_gone: bool = False) -> socket.socket:
         """Let a process subscribe, which may have ended just now; returns its socket."""
@@ -140,8 +150,7 @@ def test_what_a_late_subscriber_missed_is_not_latched_in_place_of_what_is(topic,
     publisher = topic.advertise(COUNT)
     publisher.wait(0.0)
     publisher.publish(String(0 if is_bad else "0"))
-    topic.implementation.enable_latch()
-    topic.implementation.publish(String(f"{COUNT - 1} of an ordinary publisher"))
+    topic.ordinary().publish(String(f"{COUNT - 1} of an ordinary publisher"))
     with pytest.raises(genpy.SerializationError) if is_bad else contextlib.nullcontext():
         topic.subscribe("/late")
     assert topic.implementation.latch.data.endswith("of an ordinary publisher")
@@ -320,6 +329,36 @@ def test_an_ordinary_subscriber_gets_the_latched_message_once(topic, subscriber)
     subscriber.add_callback(lambda message: received.append(message.data), None)
     topic.executor.drain()
     assert received == ["latched"]
+
+
+@pytest.mark.parametrize("is_newest", [False, True])
+def test_the_latched_message_of_an_ordinary_publisher_goes_with_it(topic, subscriber, is_newest):
+    def come() -> list[str]:
+        """Messages for a new port in here, a new ordinary subscriber, and a new process."""
+        port: list[Any] = []
+        ordinary: list[Any] = []
+        subscriber.add_callback(TypedReceiver("/t", String, port.append).push, None)
+        subscriber.add_callback(ordinary.append, None)
+        topic.executor.drain()
+        with contextlib.closing(topic.subscribe()) as there:
+            there.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                return [each.data for each in (*port, *ordinary, String(there.recv(99)[8:]))]
+        return [each.data for each in (*port, *ordinary)]
+
+    published = topic.advertise(1, latch=True)
+    send = [
+        lambda: published.latch(String("bus")),
+        lambda: topic.ordinary().publish(String("rospy")),
+    ]
+    for each in send if is_newest else reversed(send):
+        each()
+    newest = "rospy" if is_newest else "bus"
+    assert come() == ["rospy", newest, newest.encode()], "a port gets that of the bus by the bus"
+    topic._unregister()
+    assert come() == ["bus", b"bus"]
+    published.close()
+    assert come() == []
 
 
 def test_no_subscriber_gets_the_latched_message_of_a_fenced_publication(topic, subscriber):
