@@ -167,6 +167,9 @@ class NodeletProxy(Closable):
             codec = self._context.runtime.transport.codec(datatype, parameter)
             if codec is not None:
                 port.accompany(codec)
+                beside = names.below(resolved, codec.form)
+                companion = port.companion
+                companion.topic = self._context.remappings.get(beside, companion.topic)
                 taken = self._ports.get(port.companion.name)
                 if taken is not None:
                     raise PortConflict(taken.name, taken.kind, f"the companion of '{name}'")

@@ -124,6 +124,22 @@ def test_a_companion_moves_with_its_port(bench):
     assert numbers(form) == [-3]
 
 
+def test_a_load_may_remap_a_companion_which_stays_there():
+    given = {"out": "/a", "out/pressed": "/own", "~alone/pressed": "/here"}
+    remappings = {"/ns/" + name.replace("~", "nodelet/"): given[name] for name in given}
+    bench = PressedBench(remappings=remappings)
+    bench.nh.Publisher("out", Message, queue_size=1)
+    bench.nh.Subscriber("~alone", Message, bench.got.append)
+    assert bench.topics() == {**given, "~alone": ""}
+    assert sorted(bench.world.registrations) == [
+        ("publisher", "/a"),
+        ("publisher", "/own"),
+        ("subscriber", "/here"),
+    ]
+    bench.connect(out="/moved")
+    assert bench.topics() == {**given, "out": "/moved", "~alone": ""}
+
+
 def test_a_switch_loses_and_doubles_nothing():
     world = World()
     sender, receiver = (PressedBench(world=world) for _ in range(2))
