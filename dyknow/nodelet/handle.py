@@ -118,7 +118,8 @@ class PlainNodeHandle:
             ROSInterruptException: the nodelet was unloaded meanwhile.
         """
         if timeout is not None:
-            timeout = max(0.0, self.context.runtime.timers.ticker.seconds_of(timeout))
+            seconds = max(0.0, self.context.runtime.timers.ticker.seconds_of(timeout))
+            timeout = min(seconds, threading.TIMEOUT_MAX)
         inbox, subscriber = Inbox(self.context), None
         try:
             with contextlib.suppress(HandleClosed):  # it was unloaded, which ends the wait at once

@@ -17,6 +17,7 @@ import contextlib
 import re
 import socket
 import struct
+import threading
 import time
 from io import BytesIO
 from typing import Any
@@ -212,6 +213,7 @@ class ServiceClient:
         request_class = self._class._request_class
         is_request = len(args) == 1 and isinstance(args[0], request_class)
         request = args[0] if is_request else request_class(*args, **kwds)
+        timeout = min(timeout, threading.TIMEOUT_MAX)
         body, deadline = _serialized(request), time.monotonic() + timeout
         try:
             if not self._persistent:

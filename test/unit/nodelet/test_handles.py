@@ -189,6 +189,12 @@ class TestWaitForMessage:
             nh.wait_for_message("t", Message, timeout)
         assert world.registrations == []
 
+    @pytest.mark.parametrize("timeout", [float("inf"), 1e10])
+    def test_takes_a_timeout_without_end(self, pool, timeout):
+        pool.handle("/other").Publisher("/t", Message, latch=True).publish(42)
+        nh = pool.handle()
+        assert nh.wait_for_message("/t", Message, timeout).number == 42
+
     def test_works_in_a_callback_and_in_on_init(self, pool):
         nh, got, done = pool.handle(), [], threading.Event()
         pool.handle("/other").Publisher("/answer", Message, latch=True).publish(42)

@@ -67,6 +67,12 @@ def test_a_text_that_cannot_be_sent_is_named(manager):
         client.call(PATIENCE, label=os.fsdecode(b"a\xe9"))
 
 
+@pytest.mark.parametrize("is_persistent", [False, True])
+def test_a_call_may_take_as_long_as_it_takes(manager, is_persistent):
+    with contextlib.closing(make_client(persistent=is_persistent)) as client:
+        assert client.call(float("inf")).nodelets == ["/b", "/a"]
+
+
 def test_calls_of_a_persistent_client_share_a_connection(manager, client):
     answers = []
 
