@@ -9,6 +9,7 @@ when it is not a child of this one; how it ended is known of children only.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import fcntl
 import functools
@@ -274,6 +275,8 @@ class LogTail:
         """Start at the beginning of ``path``, or at its present end."""
         self._path = path
         self._turn = turn_lock("output of a child")
+        #: Keeps the beginning of a character whose end has yet to come.
+        self._decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         self._position = os.path.getsize(path) if at_end and os.path.exists(path) else 0
 
     def copy(self, target: TextIO) -> None:
@@ -284,7 +287,7 @@ class LogTail:
                     file.seek(self._position)
                     for chunk in iter(partial(file.read, _CHUNK), b""):
                         self._position += len(chunk)
-                        target.write(chunk.decode("utf-8", "replace"))
+                        target.write(self._decode(chunk))
                 target.flush()
                 if self._position > _LONGEST:
                     os.truncate(self._path, 0)

@@ -251,6 +251,18 @@ def test_an_output_is_followed_and_cut_once_it_is_copied(tmp_path, capsys, monke
     assert path.read_text() == "last\n"
 
 
+@pytest.mark.parametrize("after", [0, 3])
+def test_an_output_in_parts_of_characters_is_copied(tmp_path, capsys, monkeypatch, after):
+    monkeypatch.setattr(os_process, "_CHUNK", 3)
+    path, text = tmp_path / "output", "größer"
+    tail = LogTail(str(path))
+    with path.open("ab", buffering=0) as file:
+        for part in (text.encode()[:after], text.encode()[after:]):
+            file.write(part)
+            tail.copy(sys.stdout)
+    assert capsys.readouterr().out == text
+
+
 def test_an_output_is_locked_while_its_process_runs(tmp_path):
     output = tmp_path / "output"
     assert not os_process.is_locked(output), "it is not there"
