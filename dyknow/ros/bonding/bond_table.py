@@ -210,9 +210,6 @@ class BondTable:
         self._ends: dict[str, _BondEnd] = {}
         self._next_heartbeat = 0.0
 
-    def __len__(self) -> int:
-        return len(self._ends)
-
     def is_parting(self) -> bool:
         """Whether a sister has not acknowledged yet that we broke a bond on purpose."""
         return any(end.state is _State.PARTING for end in self._ends.values())
