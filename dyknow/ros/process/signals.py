@@ -61,9 +61,9 @@ class _Interrupt(KeyboardInterrupt):
 def raise_interrupt(number: int, frame: Any) -> None:
     """Raise KeyboardInterrupt; while a module is imported, once that is done.
 
-    Modules are loaded with callbacks that print an exception and drop it. Any signal but SIGINT
-    is ignored from then on: a terminal that is closed sends SIGHUP twice, and the second must not
-    stop what then cleans up.
+    Modules are loaded with callbacks that print an exception and drop it. After any signal but
+    SIGINT, those of `ENDING` are ignored: a terminal that is closed sends SIGHUP twice, and a
+    session that ends SIGTERM as well; the second must not stop what then cleans up.
     """
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
@@ -71,7 +71,10 @@ def raise_interrupt(number: int, frame: Any) -> None:
             return
         frame = frame.f_back
     if number != signal.SIGINT:
-        signal.signal(number, signal.SIG_IGN)
+        for each in (number, *ENDING):
+            if signal.getsignal(each) is raise_interrupt:
+                # Python warns of a signal that has come already if SIG_IGN takes its handler.
+                signal.signal(each, lambda number, frame: None)
     _raised.set()
     raise _Interrupt
 

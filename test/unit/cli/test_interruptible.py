@@ -118,16 +118,16 @@ def test_an_interrupt_that_a_finalizer_drops_comes_again():
         time.sleep(PATIENCE)
 
 
-@pytest.mark.parametrize("number", ENDING)
-def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
-    """Also if it comes twice, as SIGHUP does from a terminal that is closed."""
+@pytest.mark.parametrize(("number", "second"), itertools.product(ENDING, ENDING))
+def test_a_signal_lets_a_command_clean_up(number, second, monkeypatch):
+    """Also if it comes twice, as SIGHUP does from a terminal that is closed, or another does."""
     done = []
 
     def run(arguments):
         try:
             signal.raise_signal(number)
         finally:
-            signal.raise_signal(number)
+            signal.raise_signal(second)
             done.append(arguments.command)
 
     monkeypatch.setattr(command_line, "_run", run)
@@ -135,6 +135,18 @@ def test_a_signal_lets_a_command_clean_up(number, monkeypatch):
         assert command_line.main(["list"]) == INTERRUPTED
         assert signal.getsignal(number) is signal.SIG_DFL
     assert done == ["list"]
+
+
+def test_of_signals_that_come_at_once_one_interrupts_without_a_warning(monkeypatch, capfd):
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)  # which writes
+    with pytest.raises(KeyboardInterrupt), sigint(raise_interrupt, *ENDING):
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        try:
+            for each in ENDING:
+                signal.raise_signal(each)
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, *ENDING])
