@@ -108,7 +108,7 @@ class BaseManagerClient(ABC):
 
     @abstractmethod
     def nodelet_managers(self) -> Sequence[str]:
-        """Return the global names of the nodelet managers that are up, sorted."""
+        """Return the global names of the nodelet managers that it may use and are up, sorted."""
 
     @abstractmethod
     def list_hosts(self) -> Tuple[HostStatus, ...]:

@@ -29,6 +29,7 @@ from dyknow.model.hosts import HostStatus
 from dyknow.model.statistics import NodeletStatistics
 from dyknow.model.streams import Acquisition, Replanned, StreamRequest, StreamStatus
 from dyknow.model.transformation import Added, Parameter
+from dyknow.ros.parameters import PrivateParameters
 from dyknow.ros.process.os_process import has_begun
 from dyknow.ros.wire.master import Master
 from dyknow.ros.wire.messages import (
@@ -59,6 +60,10 @@ RESTART_TIMEOUT = 300.0
 _STARTING, _AGAIN, _LOOK, _BEGINNING = 10.0, 0.1, 1.0, 60.0
 #: Command lines of a manager that is being started, by rosrun and roslaunch too.
 _MANAGER = re.compile(rb"(^|[\0/])dyknow[\0/]manager(\.launch)?(\0|$)")
+
+_OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
+#: The manager's parameter with the names of further nodelet managers.
+_NAMED = "nodelet_managers"
 
 #: Services whose answers say more than that it is done; their callers are given it.
 _SPOKEN_OF = ("add_transformation", "replan_stream", "plan_stream", "set_parameter")
@@ -160,7 +165,18 @@ class ManagerClient(ProxyClient, BaseManagerClient):
         return model_from(self._ask("get_model", srv.GetModel, timeout).model)
 
     def nodelet_managers(self) -> list[str]:
-        return self._nodes_with("/load_nodelet")
+        try:
+            given = self._master.ask("getParam", names.join(self.manager, _NAMED))
+        except LookupError:
+            given = []
+        named = PrivateParameters({_NAMED: given}).nodes(_NAMED, self.manager)
+        running = self._nodes_with("/load_nodelet")
+        return [each for each in running if each in named or self.is_own_manager(each)]
+
+    def is_own_manager(self, name: str) -> bool:
+        """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""
+        is_beside = names.parent(name) == names.parent(self.manager)
+        return is_beside and bool(_OWN_MANAGER.match(name))
 
     def list_hosts(self) -> tuple[HostStatus, ...]:
         answer = self._ask("list_hosts", srv.ListHosts, ASK_TIMEOUT)

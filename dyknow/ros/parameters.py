@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Any, Callable
 
-from dyknow.errors import BadParameter
+from dyknow import names
+from dyknow.errors import BadParameter, InvalidName
 from dyknow.ros.wire.message_classes import message_class
 
 
@@ -74,6 +75,17 @@ class PrivateParameters:
 
         value = self.read(name, [], "a list of texts", fits)
         return tuple(value.split() if isinstance(value, str) else value)
+
+    def nodes(self, name: str, node: str) -> tuple[str, ...]:
+        """Read names of nodes; relative ones resolve in the namespace of the node itself."""
+        try:
+            return tuple(
+                names.resolve(each, names.parent(node), node) for each in self.strings(name)
+            )
+        except InvalidName as error:
+            raise BadParameter(
+                f"~{name}", error.name, "names of nodes, separated by spaces"
+            ) from error
 
     def texts(self, name: str, expected: str) -> dict[str, str]:
         """Read a map of texts."""

@@ -209,7 +209,8 @@ class SimulatedManagerClient(BaseManagerClient):
 
     def nodelet_managers(self) -> list[str]:
         with self._request("nodelet_managers"):
-            return sorted(self.host.processes)
+            states = self.host.states()
+            return sorted(name for name, each in states.items() if not each.foreign)
 
     def list_hosts(self) -> tuple[HostStatus, ...]:
         with self._request("list_hosts"):

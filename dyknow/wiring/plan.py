@@ -102,11 +102,11 @@ def plan_load(
 ) -> LoadPlan:
     """Compare a wiring with the running system, a snapshot with its transformations.
 
-    The managers are nodelet managers that are up, and hosts that answer, as ``@HOST``; one that
-    ``is_own_manager`` is started by the DyKnow manager when it is needed. ``replace`` allows to
-    replace transformations that differ, and to make nodelets again that were made otherwise;
-    ``any_manager`` lets the manager choose where the wanted nodelet manager is not up. ``stored``
-    returns the parameters of nodelets; None if they are unknown.
+    The managers are the nodelet managers that may be used, and hosts that answer, as ``@HOST``;
+    one that ``is_own_manager`` is started by the DyKnow manager when it is needed. ``replace``
+    allows to replace transformations that differ, and to make nodelets again that were made
+    otherwise; ``any_manager`` lets the manager choose where the wanted nodelet manager is not one
+    of these. ``stored`` returns the parameters of nodelets; None if they are unknown.
     """
     plan = LoadPlan()
     plan.former = {each.label: each for each in snapshot.transformations}
@@ -175,7 +175,8 @@ def _problems_of_place(nodelet: SpawnRequest, managers: Collection[str]) -> Iter
         what = (
             f"its host '{nodelet.host}' does not answer; start a nodelet manager there"
             if nodelet.host
-            else f"its nodelet manager '{nodelet.manager}' is not running; start it"
+            else f"its nodelet manager '{nodelet.manager}' is not running, or ~nodelet_managers "
+            "does not name it; start or name it"
         )
         yield f"{what}, or let the manager choose with --any-manager"
     elif nodelet.manager and not nodelet.host and nodelet.isolated:

@@ -86,7 +86,7 @@ def _save(arguments: argparse.Namespace, shell: Shell) -> None:
     ),
     flag(
         "--any-manager",
-        "where a nodelet manager is not running, let the DyKnow manager choose another",
+        "where a nodelet manager cannot be used, let the DyKnow manager choose another",
     ),
 )
 def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:

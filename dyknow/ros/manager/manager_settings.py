@@ -16,7 +16,6 @@ import rospkg
 import rospy
 
 from dyknow import names
-from dyknow.errors import BadParameter, InvalidName
 from dyknow.guards import NO_GUARDS, Guards
 from dyknow.manager.specifications.limits import DEFAULT_LIMITS, SpecificationLimits
 from dyknow.manager.supervision.watchdog import NO_WATCHDOG, WatchdogLimits
@@ -93,7 +92,7 @@ class ManagerSettings:
         given.check_groups()
         given.warn_of_unknown()
         return cls(
-            nodelet_managers=given.nodes("nodelet_managers"),
+            nodelet_managers=given.nodes("nodelet_managers", rospy.get_name()),
             num_nodelet_managers=given.integer("num_nodelet_managers", 1),
             state_dir=given.path("state_dir"),
             ontologies=given.paths("ontologies"),
@@ -232,18 +231,6 @@ class _Parameters(PrivateParameters):
         if paths != given:
             rospy.set_param(f"~{name}", list(paths))
         return paths
-
-    def nodes(self, name: str) -> tuple[str, ...]:
-        """Read names of nodes; relative ones resolve in the manager's namespace."""
-        node = rospy.get_name()
-        try:
-            return tuple(
-                names.resolve(each, names.parent(node), node) for each in self.strings(name)
-            )
-        except InvalidName as error:
-            raise BadParameter(
-                f"~{name}", error.name, "names of nodes, separated by spaces"
-            ) from error
 
     def topic_patterns(self, name: str) -> tuple[str, ...]:
         """Read patterns of topics; relative ones resolve in the manager's namespace."""

@@ -49,7 +49,6 @@ _SILENCE = 3.0
 _WRITE, _WRITING = "/write_bag", 120.0
 #: Seconds within which the manager's model follows a change that was made on a proxy.
 FOLLOW_TIMEOUT = 2.0
-_OWN_MANAGER = re.compile(r".*/dyknow_(cpp_)?nodelet_manager(_[0-9]+)?\Z")
 
 
 class EventReader:
@@ -113,6 +112,9 @@ class ShellClient(ManagerClient):
         """Listen to the events of all streams."""
         return EventReader(self._topic("stream_events", msg.StreamEvent))
 
+    def nodelet_managers(self) -> list[str]:
+        return self._on_master(super().nodelet_managers)
+
     def managers(self) -> list[str]:
         """Names of all registered DyKnow managers of the ROS graph."""
         return self._nodes_with("/add_transformation")
@@ -162,10 +164,6 @@ class ShellClient(ManagerClient):
         if not answer.success:
             raise Refused(f"'{nodelet}' writes no bag: {answer.message}")
         return str(answer.message)
-
-    def is_own_manager(self, name: str) -> bool:
-        """Whether a nodelet manager is one that the DyKnow manager starts when it is needed."""
-        return names.parent(name) == self.namespace and bool(_OWN_MANAGER.match(name))
 
     # Inside
 

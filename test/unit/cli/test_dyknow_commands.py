@@ -24,6 +24,7 @@ from dyknow.model.transformation import Port, Transformation
 from dyknow.ros.client import ManagerClient
 from dyknow.ros.shell import shell_client
 from dyknow.ros.shell.load_meter import Loads
+from dyknow.ros.wire.master import Master
 
 #: With a camera, and a protected relay behind it.
 SESSIONS = {
@@ -504,6 +505,28 @@ def test_stats_are_watched_until_the_count(chain):
     assert [len(json.loads(line)["nodelets"]) for line in outcome.lines] == [2, 2, 2]
     text = run(chain, "stats cam -w 0.001 -n 2").out
     assert text.count("NODELET") == 2 and "\x1b" not in text
+
+
+@pytest.mark.parametrize(
+    ("named", "known"),
+    [(None, []), ("cams /rover", ["/r/cams", "/rover"]), (["cams"], ["/r/cams"])],
+)
+def test_nodelet_managers_are_those_that_the_manager_may_use(monkeypatch, named, known):
+    own = ["/r/dyknow_cpp_nodelet_manager", "/r/dyknow_nodelet_manager_2"]
+    others = ["/cams", "/dyknow_nodelet_manager", "/r/cams", "/rover"]
+    services = [[f"{name}/load_nodelet", [name]] for name in (*own, *others)]
+
+    def ask(master, question, *names):
+        if question == "getParam":
+            assert names == ("/r/manager/nodelet_managers",)
+            if named is None:
+                raise LookupError("it is not set")
+            return named
+        return [[], [], services]
+
+    monkeypatch.setattr(Master, "ask", ask)
+    for kind in (ManagerClient, shell_client.ShellClient):
+        assert kind("/r/manager").nodelet_managers() == sorted([*own, *known])
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])

@@ -228,7 +228,8 @@ def unknown_port(client, file):
                 "17: transformation 'native' is in the library already, and differs; replace it",
                 "35: nodelet '/cam': neither the file nor the library has its transformation",
                 "42: nodelet '/robot/relay' runs already, made from 'camera'; expected 'relay'",
-                "38: nodelet '/n': its nodelet manager '/elsewhere' is not running; start it, or",
+                "38: nodelet '/n': its nodelet manager '/elsewhere' is not running, or "
+                "~nodelet_managers does not name it; start or name it, or let",
             ],
         ),
         (two_managers, "", ["38: nodelet '/n': isolated, and in nodelet manager '/fake_0'"]),
@@ -253,7 +254,10 @@ def test_everything_is_checked_before_anything_is_changed(client, file, setting,
 def test_the_manager_may_allow_more_nodelets_and_another_manager(client, file):
     client.world.host.parameters[f"{client.manager}/limits/nodelets"] = 3
     replace(file, 'manager="/fake_0"', 'manager="/elsewhere"')
-    assert run(client, "load w.xml").code == 1
+    client.world.host.add("/elsewhere", foreign=True)  # it runs, for another manager
+    for options in ("", "--dry-run"):
+        told = run(client, f"load w.xml {options}")
+        assert (told.code, client.calls) == (1, []) and "does not name it" in told.err
     assert run(client, "load w.xml --any-manager").code == 0
 
 
