@@ -50,10 +50,19 @@ def find_files(words: Sequence[str]) -> list[str]:
 def launch_files(package: str) -> list[str]:
     """Return the names of a package's launch files, sorted; empty if the package is unknown."""
     try:
-        folder = Path(rospkg.RosPack().get_path(package))
+        folder = rospkg.RosPack().get_path(package)
     except rospkg.ResourceNotFound:
         return []
-    return sorted({file.name for file in folder.rglob("*.launch")})
+    found: set[str] = set()
+    seen: set[str] = set()
+    for here, below, files in os.walk(
+        folder, followlinks=True
+    ):  # and not hidden ones, as roslaunch
+        place = os.path.realpath(here)
+        below[:] = [each for each in below if each[:1] != "." and place not in seen]
+        seen.add(place)  # links may lead in circles
+        found.update(each for each in files if each.endswith(".launch"))
+    return sorted(found)
 
 
 def arguments_of(file: str) -> list[str]:

@@ -127,6 +127,22 @@ def test_the_in_port_has_to_fit_the_out_port(client):
     assert offered(client, "disconnect ") == ["/cam:", "/robot/relay:", "/text:"]
 
 
+def test_launch_files_are_those_that_roslaunch_finds(client, tmp_path, monkeypatch):
+    """In linked folders, too, and not in hidden ones."""
+    package, elsewhere = tmp_path / "space" / "pkg", tmp_path / "elsewhere"
+    for folder in (package / "launch", package / ".git", elsewhere):
+        folder.mkdir(parents=True)
+        (folder / f"{folder.name}.launch").write_text('<launch><arg name="rate"/></launch>')
+    head = '<package format="2"><name>pkg</name><version>1.0.0</version>'
+    (package / "package.xml").write_text(f"{head}<description/></package>")
+    (package / "linked").symlink_to(elsewhere)
+    (elsewhere / "sub").mkdir()
+    (elsewhere / "sub" / "circle").symlink_to(".")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "space"))
+    assert offered(client, "launch pkg ") == ["elsewhere.launch", "launch.launch"]
+    assert offered(client, "launch pkg elsewhere.launch ") == ["rate:="]
+
+
 def test_files(client, tmp_path, monkeypatch):
     (tmp_path / "a file.xml").touch()
     (tmp_path / "folder").mkdir()
