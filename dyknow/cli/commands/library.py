@@ -41,13 +41,14 @@ _FILES = argument("files", "FILE", f"specifications; {STDIO} for standard input"
     _labels("*", "show the specification (default: list the labels)"),
     flag("-l --long", "show source, ports and cost"),
 )
-def _library(arguments: argparse.Namespace, shell: Shell) -> None:
-    chosen = _chosen(shell, arguments.labels)
+def _library(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    chosen, code = _chosen(shell, arguments.labels)
     value = {"transformations": [transformation_json(each) for each in chosen]}
     if arguments.labels and not arguments.long:
         shell.show_file(value, "".join(each.to_xml() for each in chosen))
     else:
         shell.show(value, _long_list(chosen) if arguments.long else [it.label for it in chosen])
+    return code
 
 
 def _long_list(transformations: Sequence[Transformation]) -> list[str]:
@@ -59,16 +60,17 @@ def _long_list(transformations: Sequence[Transformation]) -> list[str]:
     return columns(rows, right=(3, 4, 5))
 
 
-def _chosen(shell: Shell, labels: Sequence[str]) -> list[Transformation]:
+def _chosen(shell: Shell, labels: Sequence[str]) -> tuple[list[Transformation], int | None]:
+    """Return the transformations of some labels, by default all; and FAILED if some are unknown.
+
+    Those are named.
+    """
     known = {each.label: each for each in shell.client.get_model().transformations}
-    if not labels:
-        return list(known.values())
-    unknown = [label for label in labels if label not in known]
-    for label in unknown[1:]:
+    asked = dict.fromkeys(labels or known)
+    unknown = [label for label in asked if label not in known]
+    for label in unknown:
         shell.error(UnknownTransformation(label, did_you_mean(label, known)))
-    if unknown:
-        raise UnknownTransformation(unknown[0], did_you_mean(unknown[0], known))
-    return [known[label] for label in dict.fromkeys(labels)]
+    return [known[label] for label in asked if label in known], FAILED if unknown else None
 
 
 @command(
@@ -104,13 +106,16 @@ def _named(file: str, words: str) -> str:
 
 
 @command(
-    "Write transformations as one specification, which 'import' reads.",
+    "Write transformations as one specification, which 'import' reads. With an unknown label "
+    "nothing is written.",
     "dyknow export > library.xml\ndyknow export 'undistort(cam1)' relay -o some.xml",
     _labels("*", "what to export (default: all)"),
     argument("-o --output", "FILE", f"write here (default: {STDIO}, print)"),
 )
-def _export(arguments: argparse.Namespace, shell: Shell) -> None:
-    chosen = _chosen(shell, arguments.labels)
+def _export(arguments: argparse.Namespace, shell: Shell) -> int | None:
+    chosen, code = _chosen(shell, arguments.labels)
+    if code:
+        return code
     text = as_specification(chosen)
     labels = [each.label for each in chosen]
     if arguments.output and arguments.output != STDIO:
@@ -121,6 +126,7 @@ def _export(arguments: argparse.Namespace, shell: Shell) -> None:
         )
     else:
         shell.show_file({"labels": labels, "specification": text}, text)
+    return None
 
 
 @command(

@@ -109,9 +109,14 @@ LABEL   TYPE     SOURCE      COST  IN  OUT
 camera  nodelet  pkg/Camera     1   0    1
 $ library camera
 <transformation type=...
-$ export camra relay nix
-dyknow: ...'nix'...
+$ library camra relay nix relay
+<transformation type=...<label>relay</label>...</transformation>
 dyknow: ...'camra'; did you mean camera?
+dyknow: ...'nix'...
+[1]
+$ export camra relay nix
+dyknow: ...'camra'; did you mean camera?
+dyknow: ...'nix'...
 [1]
 """,
     "graph": """
