@@ -9,6 +9,7 @@ from typing import Any, Callable
 
 from dyknow import names
 from dyknow.errors import BadParameter, InvalidName
+from dyknow.manager.specifications.values import find
 from dyknow.ros.wire.message_classes import message_class
 
 
@@ -50,10 +51,7 @@ class PrivateParameters:
 
     def find(self, name: str, default: Any) -> Any:
         """Return a parameter, also one in a namespace, or its default."""
-        value: Any = self.given
-        for key in name.split("/"):
-            value = value.get(key, default) if isinstance(value, dict) else default
-        return value
+        return find(self.given, name, default)
 
     def read(self, name: str, default: Any, expected: str, fits: Callable[[Any], bool]) -> Any:
         """Return a parameter, or its default, if its value fits."""

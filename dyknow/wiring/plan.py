@@ -12,7 +12,7 @@ from dyknow.datatypes import ANY, types_fit
 from dyknow.errors import FixedTopics, InvalidParameters, Problem, UnknownPort
 from dyknow.manager.specifications.findings import shorten
 from dyknow.manager.specifications.given import bindings_of, completed, set_on_load
-from dyknow.manager.specifications.values import value_of
+from dyknow.manager.specifications.values import as_tree, find
 from dyknow.model.graph import Model, NodeletStatus, SpawnRequest, State
 from dyknow.model.transformation import TOPIC, Transformation, Transformations
 from dyknow.wiring.wiring import NODELET, TRANSFORMATION, Wiring
@@ -261,13 +261,14 @@ def _otherwise_made(
         if name[:1] != "?" and name not in names:
             found.append(f"parameter {name} is {shorten(text)}, expected none")
     if stored is not None and wanted:
-        values = stored(present.name, [each.name for each in wanted])
-        for parameter in wanted:
-            name, expected = parameter.name, f"expected {shorten(parameter.text)}"
-            if name not in values:
-                found.append(f"parameter {name} is not set, {expected}")
-            elif not _is_same(values[name], value_of(parameter)):
-                found.append(f"parameter {name} is {shorten(str(values[name]))}, {expected}")
+        values, tree = stored(present.name, [each.name for each in wanted]), as_tree(wanted)
+        for name, _, text in wanted:
+            value = find(tree, name, None)  # another one may be above it, or below
+            if name not in values and value is not None:
+                found.append(f"parameter {name} is not set, expected {shorten(text)}")
+            elif not _is_same(values.get(name), value):
+                what = shorten(str(values[name]))
+                found.append(f"parameter {name} is {what}, expected {shorten(text)}")
     for port in blueprint.ports:
         shown = present.port(port.name)
         if shown is not None and (shown.direction, shown.tags) != (port.direction, port.tags):

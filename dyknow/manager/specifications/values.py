@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, Callable, Dict, List, Mapping, Union
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Union
 
 import yaml
 
@@ -81,6 +81,27 @@ def parse_value(type_: str, text: str, limits: SpecificationLimits = DEFAULT_LIM
 def value_of(parameter: Parameter) -> Value:
     """Return the value for the parameter server; lists and mappings are the caller's own."""
     return parse_value(parameter.type, parameter.text)
+
+
+def as_tree(parameters: Iterable[Parameter]) -> dict[str, Any]:
+    """Return what the parameter server has once parameters are set, in this order."""
+    tree: dict[str, Any] = {}
+    for parameter in parameters:
+        *spaces, key = filter(None, parameter.name.split("/"))
+        here = tree
+        for space in spaces:
+            if not isinstance(here.get(space), dict):
+                here[space] = {}
+            here = here[space]
+        here[key] = value_of(parameter)
+    return tree
+
+
+def find(tree: Any, name: str, default: Any) -> Any:
+    """Return a parameter, also one in a namespace, from a tree; or its default."""
+    for key in filter(None, name.split("/")):  # as the parameter server reads it
+        tree = tree.get(key, default) if isinstance(tree, dict) else default
+    return tree
 
 
 def filled(

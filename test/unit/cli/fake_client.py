@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import io
 import json
 import re
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Callable, Collection, Sequence
 
 from clocks import HandClock
+from rosmaster.paramserver import ParamDictionary
 from transcripts import steps
 from unit.manager.world import LIBRARY, World
 
@@ -116,10 +118,11 @@ class FakeClient(SimulatedManagerClient):
         return {"/rosout": "rosgraph_msgs/Log"}
 
     def stored_parameters(self, nodelet: str, parameters: Sequence[str]) -> dict[str, Any]:
-        known = self.world.host.parameters
-        return {
-            name: known[f"{nodelet}/{name}"] for name in parameters if f"{nodelet}/{name}" in known
-        }
+        server = ParamDictionary(None)
+        for key, value in self.world.host.parameters.items():
+            server.set_param(key, copy.deepcopy(value))
+        keys = {name: f"{nodelet}/{name}" for name in parameters}
+        return {name: server.get_param(key) for name, key in keys.items() if server.has_param(key)}
 
     def topics_in_use(self) -> tuple[frozenset[str], frozenset[str]]:
         ports = [port for each in self.host.running for port in self.host.ports(each)]

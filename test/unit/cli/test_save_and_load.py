@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import os
+import re
 from typing import Any
 
 import pytest
@@ -290,6 +291,32 @@ def test_a_nodelet_of_an_earlier_transformation_is_made_again(client, file):
     assert found["differences"] == [{"nodelet": "/cam", "differences": [difference]}]
     assert rate(client, "/cam") == 30
     assert run(client, "load w.xml --replace --json").json["nodelets"]["replaced"] == []
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"tree/a": "5"},
+        {"tree": "{a: 5}"},
+        {"tree": "{q: 1}", "tree/a": "5"},
+        {"tree//a": "5", "c/": "2"},
+        {"flat": "1", "flat/x": "2", "tree/a": "5"},
+    ],
+)
+def test_parameters_below_others_are_as_the_parameter_server_has_them(client, given):
+    trees = """
+        <transformation><label>deep</label><source>pkg/Camera</source><params>
+          <param name="tree" type="yaml">{a: 1, b: 2}</param>
+          <param name="tree/z" type="int">3</param>
+        </params><ports><port type="out">image</port></ports></transformation>"""
+    client.world.manager.add_transformation(trees)
+    parameters = tuple(Parameter(name, "", text) for name, text in given.items())
+    client.world.spawn("deep", "d", parameters=parameters)
+    assert run(client, "save deep.xml").code == 0
+    assert "nodelet /d: exists already" in run(client, "load deep.xml --dry-run").lines
+    client.world.host.parameters["/d/tree/a"] = 6
+    changed = run(client, "load deep.xml --dry-run").out
+    assert re.search(r"/d: exists already \(parameter tree.* is .*6.*, expected .*5.*\)", changed)
 
 
 def test_a_nodelet_with_a_parameter_that_the_file_lacks_is_made_again(client):
