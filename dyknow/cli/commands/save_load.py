@@ -105,9 +105,9 @@ def _load(arguments: argparse.Namespace, shell: Shell) -> int | None:
             problems = [str(problem) for problem in plan.problems]
             is_to_load = not (problems or arguments.dry_run)
             steps = steps_of(plan, client) if is_to_load else []
-            if steps or changing is None or arguments.dry_run:
-                changing = plan
             failed = carry_out(steps, arguments.keep_going)
+            if steps or changing is None or changing.problems or arguments.dry_run:
+                changing = plan
             left = problems or list(_left(arguments, wiring, plan, client))
         except SpecificationError as error:
             for each in error.problems:

@@ -565,6 +565,32 @@ def test_waiting_for_the_manager_and_all_of_the_wiring(file, monkeypatch):
     assert client.get_model().nodelet("/n") is not None
 
 
+@pytest.mark.parametrize("obstacle", ["a nodelet manager is missing", "the spawn is refused"])
+def test_a_wait_reports_what_it_changed_itself(file, monkeypatch, obstacle):
+    client = FakeClient(World())
+    if obstacle == "a nodelet manager is missing":
+        replace(file, 'manager="/fake_0"', 'manager="/elsewhere"')
+
+    def refuse(call, subject):
+        if call == "spawn" and obstacle == "the spawn is refused":
+            raise Refused("it has no device yet")
+
+    def another_loads(seconds):
+        client.fail = lambda call, subject: None
+        client.world.host.add("/elsewhere")
+        assert run(client, "load w.xml").code == 0
+
+    client.fail = refuse
+    monkeypatch.setattr("dyknow.cli.commands.save_load.time.sleep", another_loads)
+    nodelets = run(client, "load w.xml --wait --json").json["nodelets"]
+    assert nodelets == {
+        "spawned": [],
+        "replaced": [],
+        "changed": [],
+        "kept": ["/cam", "/n", "/robot/relay"],
+    }
+
+
 def test_a_wait_has_a_limit_and_names_what_is_missing(file):
     client = FakeClient(World())
     done = run(client, "load w.xml --wait --within 0.000001 --dry-run")
