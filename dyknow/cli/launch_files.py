@@ -55,12 +55,11 @@ def launch_files(package: str) -> list[str]:
         return []
     found: set[str] = set()
     seen: set[str] = set()
-    for here, below, files in os.walk(
-        folder, followlinks=True
-    ):  # and not hidden ones, as roslaunch
+    for here, below, files in os.walk(folder, followlinks=True):
         place = os.path.realpath(here)
+        # roslaunch passes hidden folders over too; links may lead in circles.
         below[:] = [each for each in below if each[:1] != "." and place not in seen]
-        seen.add(place)  # links may lead in circles
+        seen.add(place)
         found.update(each for each in files if each.endswith(".launch"))
     return sorted(found)
 
