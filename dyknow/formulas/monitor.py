@@ -257,8 +257,7 @@ class Monitor:
         if not readers:
             return found
         # A first state sees what came for an earlier one; an individual has its own.
-        state = max(state, readers[0].first)
-        if state < (self._next or 0):
+        if max(state, readers[0].first) < (self._next or 0):
             self.late += 1
             return found
         farthest = now + self._settings.delay

@@ -57,13 +57,12 @@ class PortValues:
         self.stamp: Optional[int] = None
         self.latest = -1  # greatest stamp of all messages
         self._coming: List[Tuple[int, int, Any, int]] = []  # state, stamp, message, count
-        self.count_from(0)
+        self.forget_counts()
 
-    def count_from(self, first: int) -> None:
-        """Count messages from a state on: those before it have been left out."""
+    def forget_counts(self) -> None:
+        """Begin to count messages with the next state: states before it have been left out."""
         if self._counts is not None:
             self._counts.clear()
-            self._coming = [(*each[:3], each[3] * (each[0] >= first)) for each in self._coming]
 
     def add(self, state: int, stamp: int, message: Any, far: int) -> None:
         """Keep a message for a state; of several with one stamp the last one counts.
@@ -89,8 +88,8 @@ class PortValues:
         """Take the messages that the state is the first to see."""
         count = 0
         while self._coming and self._coming[0][0] <= state:
-            _, self.stamp, self.message, more = self._coming.pop(0)
-            count += more
+            own, self.stamp, self.message, more = self._coming.pop(0)
+            count += more * (own == state)  # those of states before the first are not counted
         if self._counts is not None:
             self._counts.append(count)
 
@@ -154,7 +153,7 @@ class States:
         formula, settings = self._formula, self._settings
         if first > self._state + 1:
             for values in self.own.values():
-                values.count_from(first)
+                values.forget_counts()
         self.first = first
         self.evaluator: Evaluator | ExactEvaluator
         if settings.is_exact:

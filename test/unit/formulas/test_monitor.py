@@ -553,6 +553,21 @@ def test_rates_are_not_counted_over_the_states_that_forgetting_leaves_out(formul
     assert [each.value for each in found] == 9 * [Truth.UNKNOWN] + 3 * [Truth.FALSE]
 
 
+@pytest.mark.parametrize(
+    "formula", ["present(a) and rate(b) < 15", "every ?c (rate(b) < 15) and a"]
+)
+def test_rate_counts_no_message_from_before_its_window(formula: str) -> None:
+    monitor = parse(formula).monitor(delay=5.0)
+    individual = "left" if "every" in formula else ""
+    verdicts = monitor.individuals("?c", [individual], 100.0)
+    for number in range(80):
+        now = 100.0 + number / 10
+        verdicts += monitor.feed("a", True, now)
+        verdicts += monitor.feed("b", message(now - 2.95), now + 0.05, individual)
+    assert [each.split(" ")[1] for each in runs(verdicts)] == ["UNKNOWN", "TRUE"]
+    assert runs(verdicts)[1].endswith("rate(b) = 10") or "rate(b) = 10," in runs(verdicts)[1]
+
+
 def test_a_monitor_that_forgets_publishes_no_verdict_about_an_earlier_state() -> None:
     monitor = parse("a.x > 0").monitor(0.1, delay=1.0)
     verdicts = monitor.feed("a", message(1.0, x=1), 1.0) + monitor.feed("a", message(1.95, x=1), 2)
