@@ -10,6 +10,7 @@ receive the same messages have the same states, whenever they began.
 from __future__ import annotations
 
 from collections import deque
+from operator import attrgetter
 from typing import Any, Deque, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
 from dyknow.formulas import tree
@@ -205,7 +206,7 @@ class States:
         """Return the ports that have to pass a state before it closes."""
         if not self.quantifiers:
             return self.own.values()
-        below = [e for each in self.quantifiers.values() for e in each.present.values()]
+        below = [e for each in self.quantifiers.values() for e in each.all()]
         return [port for states in (self, *below) for port in states.own.values()]
 
     def _value(self, wanted: Input, now: int) -> Any:
@@ -234,9 +235,9 @@ class States:
     # The log
 
     def _named(self, formula: tree.Quantified, state: int) -> Iterator[Tuple[str, Log, int]]:
-        for name, each in sorted(self.quantifiers[formula].present.items()):
-            if each.first <= self.first + state:
-                yield name, each.log, self.first + state - each.first
+        state += self.first
+        for each in self.quantifiers[formula].of(state):
+            yield each.name, each.log, state - each.first
 
     def _note(self, number: int, truth: int) -> None:
         """Log the truth of an atom that has changed, and the values that it reads."""
@@ -277,13 +278,14 @@ class Individuals:
         self._shared = shared
         self.present: Dict[str, States] = {}  # those that are there now, by name
         self._looks_ahead = looks_ahead(formula.operand)
-        self._leaving: Dict[str, int] = {}  # first states without them
+        self._leaving: Dict[States, int] = {}  # first states without them
         self._open: Deque[Dict[States, Optional[int]]] = deque()
         self._next: Optional[int] = None
 
     def begin(self, first: int) -> None:
         """Start the sequences of all individuals at a state."""
         self._open.clear()
+        self._leaving.clear()
         self._next = None
         for each in self.present.values():
             each.begin(first)
@@ -291,20 +293,33 @@ class Individuals:
     def set(self, names: Iterable[str], first: int) -> None:
         """Have exactly these individuals from a state on."""
         wanted = set(names)
-        gone = {name: self._leaving.get(name, first) for name in self.present.keys() - wanted}
-        self._leaving = gone
+        for name in sorted(self.present.keys() - wanted):
+            self._leaving[self.present.pop(name)] = first
+        for each in [each for each, without in self._leaving.items() if without == first]:
+            if each.name in wanted:  # no state is without it
+                del self._leaving[each]
+                self.present[each.name] = each
         for name in sorted(wanted - self.present.keys()):
             operand = self._formula.operand
             self.present[name] = States(operand, self._settings, first, self._shared, name)
+
+    def of(self, state: int) -> List[States]:
+        """Return the individuals that are there in a state, by name."""
+        here = [e for e in self.all() if e.first <= state < self._leaving.get(e, state + 1)]
+        return sorted(here, key=attrgetter("name"))
+
+    def all(self) -> Iterable[States]:
+        """Return the individuals of all states that are open."""
+        return (*self._leaving, *self.present.values())
 
     def close(self, state: int) -> Any:
         """Close a state: its truth or, if the formula looks ahead, the truths decided now."""
         if self._next is None:
             self._next = state
-        for name in sorted(name for name, first in self._leaving.items() if first <= state):
-            del self._leaving[name]
-            self._leave(name)
-        present = [each for _, each in sorted(self.present.items()) if each.first <= state]
+        for each in [each for each, without in self._leaving.items() if without <= state]:
+            del self._leaving[each]
+            self._decide(each, each.end())
+        present = self.of(state)
         self._open.append(dict.fromkeys(present))
         for each in present:
             self._decide(each, each.close(state))
@@ -313,13 +328,11 @@ class Individuals:
 
     def end(self) -> Any:
         """Decide the open states, and return them with the truth of one state to come."""
-        for name in sorted(self.present):
-            self._leave(name)
+        for each in self.all():
+            self._decide(each, each.end())
+        self._leaving.clear()
+        self.present.clear()
         return [*self._ready(), UNKNOWN] if self._looks_ahead else UNKNOWN
-
-    def _leave(self, name: str) -> None:
-        states = self.present.pop(name)
-        self._decide(states, states.end())
 
     def _decide(self, states: States, decided: Iterable[Tuple[int, int]]) -> None:
         for state, truth in decided:

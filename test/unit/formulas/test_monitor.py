@@ -500,6 +500,49 @@ def test_an_individual_begins_with_its_last_message_before() -> None:
     assert len(left) == 8 and {each.value for each in left} == {Truth.TRUE}
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.7, 5.0])
+@pytest.mark.parametrize(
+    ("formula", "expected"),
+    [
+        ("every ?c (image)", "FALSE FALSE TRUE TRUE UNKNOWN TRUE"),
+        ("some ?c (once image)", "FALSE FALSE FALSE FALSE UNKNOWN TRUE"),
+        ("every ?c (eventually[0 s, 3 s] image)", "UNKNOWN UNKNOWN TRUE TRUE TRUE TRUE"),
+    ],
+)
+def test_an_individual_that_comes_back_has_left(delay: float, formula: str, expected: str) -> None:
+    """Also if the states without it are still open."""
+    monitor = parse(formula).monitor(1.0, delay=delay)
+    verdicts = monitor.individuals("?c", ["left"], 0.0) + monitor.feed("image", False, 0.0, "left")
+    verdicts += monitor.individuals("?c", [], 1.5) + monitor.individuals("?c", [], 2.5)
+    verdicts += monitor.individuals("?c", ["left"], 3.5)
+    verdicts += monitor.feed("image", True, 4.5, "left")
+    verdicts += monitor.advance(5.0 + delay + 0.1) + monitor.finish()
+    assert " ".join(each.value.name for each in verdicts).startswith(expected)
+
+
+@pytest.mark.parametrize("delay", [0.0, 5.0])
+def test_an_individual_that_misses_no_state_has_not_left(delay: float) -> None:
+    monitor = parse("every ?c (once image)").monitor(1.0, delay=delay)
+    verdicts = monitor.individuals("?c", ["left"], 0.0) + monitor.feed("image", True, 0.0, "left")
+    verdicts += monitor.individuals("?c", [], 1.5) + monitor.individuals("?c", ["left"], 1.7)
+    verdicts += monitor.feed("image", False, 1.7, "left") + monitor.advance(10.0)
+    assert {each.value for each in verdicts} == {Truth.TRUE}
+    assert monitor.late == 0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.7, 5.0])
+def test_one_that_leaves_is_named_in_the_states_that_it_is_in(delay: float) -> None:
+    monitor = parse("every ?c (image)").monitor(1.0, delay=delay)
+    verdicts = monitor.individuals("?c", ["left", "right"], 0.0)
+    for name in ("left", "right"):
+        verdicts += monitor.feed("image", name == "right", 0.0, name)
+    verdicts += monitor.individuals("?c", ["right"], 1.5) + monitor.advance(10.0)
+    assert runs(verdicts) == [
+        "0.000 FALSE  left: image = false at 0",
+        "2.000 TRUE  right: image = true at 0",
+    ]
+
+
 @pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize(
     "formula",
