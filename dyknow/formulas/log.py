@@ -38,8 +38,8 @@ class Log:
     """The truths of the atoms of a formula, and of its individuals': a ``Trace``."""
 
     __slots__ = (
-        *("period", "_atoms", "_back", "_changes", "_formula", "_named", "_oldest", "_patience"),
-        "_seen",
+        *("period", "_atoms", "_back", "_changes", "_formula", "_named", "_patience"),
+        *("_seen", "oldest"),
     )
 
     def __init__(
@@ -60,7 +60,7 @@ class Log:
         self._named = individuals
         self._seen = 0
         self._back = reach(formula, period)
-        self._oldest = 0
+        self.oldest = 0
         self._patience = iter(range(_PATIENCE))  # shared with the individuals
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Log:
     @property
     def first(self) -> int:
         """The first state that operators without bounds look at: a forgotten one for all."""
-        return max(0, self._oldest - 1)
+        return max(0, self.oldest - 1)
 
     def note(self, number: int, state: int, value: int, values: Tuple[str, ...]) -> None:
         """Add a change of the truth of the atom of a number."""
@@ -83,7 +83,7 @@ class Log:
 
     def forget(self, first: int) -> None:
         """Drop what no verdict about the state ``first`` or a later one depends on."""
-        oldest = self._oldest = first - self._back
+        oldest = self.oldest = first - self._back
         for changes in self._changes:
             while len(changes) > 1 and changes[1].state <= oldest:
                 changes.pop(0)
@@ -101,7 +101,7 @@ class Log:
             yield name, log, number
 
     def _change(self, atom: tree.Atom, state: int) -> ChangedValue:
-        if state < self._oldest:
+        if state < self.oldest:
             return _FORGOTTEN
         changes = self._changes[self._atoms.index(atom)]
         return changes[bisect_right(changes, (state + 1,)) - 1]

@@ -352,7 +352,7 @@ class Monitor:
         """Close the states up to one of them."""
         while self._next is not None and self._next <= last:
             self._next += 1
-            self._decide(self._states.close(self._next - 1), found)
+            self._decide(self._states.close(self._next - 1, self._next), found)
 
     def _decide(self, decided: List[Tuple[int, int]], found: List[Verdict]) -> None:
         for state, truth in decided:

@@ -109,7 +109,7 @@ class States:
 
     __slots__ = (
         *("name", "first", "own", "ports", "quantifiers", "evaluator", "log"),
-        *("_formula", "_settings", "_state", "_decided", "_is_over"),
+        *("is_over", "_formula", "_settings", "_state", "_decided"),
     )
 
     def __init__(
@@ -145,7 +145,7 @@ class States:
         self.quantifiers: Mapping[tree.Quantified, Individuals] = _NONE
         if quantified:
             self.quantifiers = {e: Individuals(e, settings, self.ports) for e in quantified}
-        self._is_over = False
+        self.is_over = False
         self._state = first - 1
         self.begin(first)
 
@@ -169,10 +169,13 @@ class States:
         for individuals in self.quantifiers.values():
             individuals.begin(first)
 
-    def close(self, state: int) -> List[Tuple[int, int]]:
-        """Close the next state; returns the states that are decided now, with their truths."""
+    def close(self, state: int, oldest: int) -> List[Tuple[int, int]]:
+        """Close the next state; returns the states that are decided now, with their truths.
+
+        ``oldest`` is the first state that may have to be explained once it is decided.
+        """
         self._state = state
-        self.log.forget(self._decided - self.first)
+        self.log.forget(min(self._decided, oldest) - self.first)
         for port in self.own.values():
             port.close(state)
         now = state * self._settings.period
@@ -181,7 +184,9 @@ class States:
 
     def end(self) -> List[Tuple[int, int]]:
         """Decide all states that are open: nothing will be known of states to come."""
-        self._is_over = True
+        self.is_over = True
+        for port in self.own.values():
+            port.forget()
         open_ = self._state + 1 - self._decided
         truths: List[int] = []
         for _ in range(self.evaluator.horizon):
@@ -206,7 +211,7 @@ class States:
         """Return the ports that have to pass a state before it closes."""
         if not self.quantifiers:
             return self.own.values()
-        below = [e for each in self.quantifiers.values() for e in each.all()]
+        below = [e for each in self.quantifiers.values() for e in each.open()]
         return [port for states in (self, *below) for port in states.own.values()]
 
     def _value(self, wanted: Input, now: int) -> Any:
@@ -218,7 +223,7 @@ class States:
             hold = self._settings.hold
             return port.message if hold is None or now - port.stamp <= hold else None
         if isinstance(wanted, tree.Quantified):
-            return self.quantifiers[wanted].close(self._state)
+            return self.quantifiers[wanted].close(self._state, self.first + self.log.oldest)
         return self._called(wanted, now)
 
     def _called(self, wanted: tree.Call, now: int) -> Any:
@@ -241,7 +246,7 @@ class States:
 
     def _note(self, number: int, truth: int) -> None:
         """Log the truth of an atom that has changed, and the values that it reads."""
-        if self._is_over:
+        if self.is_over:
             return
         atom = self.evaluator.atoms[number]
         values = tuple(self._reading(each) for each in tree.readings(atom))
@@ -278,14 +283,14 @@ class Individuals:
         self._shared = shared
         self.present: Dict[str, States] = {}  # those that are there now, by name
         self._looks_ahead = looks_ahead(formula.operand)
-        self._leaving: Dict[States, int] = {}  # first states without them
+        self._gone: Dict[States, int] = {}  # first states without them
         self._open: Deque[Dict[States, Optional[int]]] = deque()
         self._next: Optional[int] = None
 
     def begin(self, first: int) -> None:
         """Start the sequences of all individuals at a state."""
         self._open.clear()
-        self._leaving.clear()
+        self._gone.clear()
         self._next = None
         for each in self.present.values():
             each.begin(first)
@@ -294,44 +299,48 @@ class Individuals:
         """Have exactly these individuals from a state on."""
         wanted = set(names)
         for name in sorted(self.present.keys() - wanted):
-            self._leaving[self.present.pop(name)] = first
-        for each in [each for each, without in self._leaving.items() if without == first]:
+            self._gone[self.present.pop(name)] = first
+        for each in [each for each, without in self._gone.items() if without == first]:
             if each.name in wanted:  # no state is without it
-                del self._leaving[each]
+                del self._gone[each]
                 self.present[each.name] = each
         for name in sorted(wanted - self.present.keys()):
             operand = self._formula.operand
             self.present[name] = States(operand, self._settings, first, self._shared, name)
 
     def of(self, state: int) -> List[States]:
-        """Return the individuals that are there in a state, by name."""
-        here = [e for e in self.all() if e.first <= state < self._leaving.get(e, state + 1)]
+        """Return the individuals of a state that is not forgotten, by name."""
+        all_ = (*self._gone, *self.present.values())
+        here = [each for each in all_ if each.first <= state < self._gone.get(each, state + 1)]
         return sorted(here, key=attrgetter("name"))
 
-    def all(self) -> Iterable[States]:
-        """Return the individuals of all states that are open."""
-        return (*self._leaving, *self.present.values())
+    def open(self) -> List[States]:
+        """Return the individuals of the states that are to close."""
+        return [each for each in (*self._gone, *self.present.values()) if not each.is_over]
 
-    def close(self, state: int) -> Any:
-        """Close a state: its truth or, if the formula looks ahead, the truths decided now."""
+    def close(self, state: int, oldest: int) -> Any:
+        """Close a state: its truth or, if the formula looks ahead, the truths decided now.
+
+        No state before ``oldest`` will be explained.
+        """
         if self._next is None:
             self._next = state
-        for each in [each for each, without in self._leaving.items() if without <= state]:
-            del self._leaving[each]
-            self._decide(each, each.end())
+        for each, without in [*self._gone.items()]:
+            if without == state:
+                self._decide(each, each.end())
+            elif without < oldest:
+                del self._gone[each]
         present = self.of(state)
         self._open.append(dict.fromkeys(present))
         for each in present:
-            self._decide(each, each.close(state))
+            self._decide(each, each.close(state, oldest))
         ready = list(self._ready())
         return ready if self._looks_ahead else ready[0]
 
     def end(self) -> Any:
         """Decide the open states, and return them with the truth of one state to come."""
-        for each in self.all():
+        for each in self.open():
             self._decide(each, each.end())
-        self._leaving.clear()
-        self.present.clear()
         return [*self._ready(), UNKNOWN] if self._looks_ahead else UNKNOWN
 
     def _decide(self, states: States, decided: Iterable[Tuple[int, int]]) -> None:

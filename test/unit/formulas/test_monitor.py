@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 import weakref
 from types import SimpleNamespace
 from typing import Any, Iterable, List, Optional, Tuple
@@ -541,6 +542,68 @@ def test_one_that_leaves_is_named_in_the_states_that_it_is_in(delay: float) -> N
         "0.000 FALSE  left: image = false at 0",
         "2.000 TRUE  right: image = true at 0",
     ]
+
+
+@pytest.mark.parametrize(
+    ("formula", "expected"),
+    [
+        (
+            "historically[2 s, 5 s] every ?c (image)",
+            [
+                "0.000 TRUE  no earlier state",
+                "2.000 FALSE  left: image = false at 0",
+                "6.000 TRUE  right: image = true at 0",
+            ],
+        ),
+        (
+            "once[2 s, 3 s] some ?c (not image)",
+            [
+                "0.000 FALSE  no earlier state",
+                "2.000 TRUE  left: image = false at 0",
+                "4.000 FALSE  right: image = true at 0",
+            ],
+        ),
+        (
+            "some ?c (not image) and eventually[3 s, 3 s] every ?c (image)",
+            [
+                "0.000 TRUE  left: image = false at 0, right: image = true at 0",
+                "1.000 FALSE  right: image = true at 0",
+            ],
+        ),
+        (
+            "every ?c (eventually[9 s, 9 s] not image)",
+            ["0.000 FALSE  right: image = true at 0", "1.000 UNKNOWN  right: no later state"],
+        ),
+    ],
+)
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_an_individual_that_decided_is_named_though_it_has_changed_or_gone(
+    is_gone: bool, delay: float, formula: str, expected: List[str]
+) -> None:
+    monitor = parse(formula).monitor(1.0, delay=delay)
+    verdicts = monitor.individuals("?c", ["left", "right"], 0.0)
+    for now in range(10):
+        if now == 1 and is_gone:
+            verdicts += monitor.individuals("?c", ["right"], 0.5)
+        for name in ("left", "right"):
+            if name == "right" or not (now and is_gone):
+                verdicts += monitor.feed("image", now > 0 or name == "right", now, name)
+    found = runs(verdicts + monitor.finish())
+    # What the other one adds if it is still there.
+    assert [re.sub("left: (image = true at 1|no later state), ", "", e) for e in found] == expected
+
+
+def test_the_messages_of_an_individual_that_has_gone_are_dropped() -> None:
+    monitor = parse("historically[0 s, 60 s] every ?c (image.x > 0)").monitor(1.0)
+    image = Referable(x=1)
+    dropped = weakref.ref(image)
+    monitor.individuals("?c", ["left"], 1.0)
+    monitor.feed("image", image, 1.0, "left")
+    del image
+    monitor.individuals("?c", [], 2.0)
+    monitor.advance(4.0)
+    assert dropped() is None
 
 
 @pytest.mark.parametrize("exact", [False, True])
