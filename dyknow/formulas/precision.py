@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 the DyKnow developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-"""Fields of type float32, which are read and compared in that precision.
+"""Fields of types float32 and bool: numbers are read and compared in their precision.
 
 A message that is passed by reference has doubles in such fields, as its author wrote them; one
 that was sent or recorded has the nearest values of 32 bits, so that 0.2 is a little more than
-0.2. Here both are the same number, and it equals the constant 0.2.
+0.2. Here both are the same number, and it equals the constant 0.2. A flag that its author wrote
+as 1 is true, as it is once it was sent.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class Single(float):
 
 
 class _Message:
-    """A message whose numbers are read in their precision."""
+    """A message whose fields are read as if it had been sent."""
 
     __slots__ = ("_message", "_types")
 
@@ -69,7 +70,7 @@ class _Message:
 
 
 class _Array(AbstractSequence):  # type: ignore[type-arg]
-    """An array of these, or of numbers."""
+    """An array of these, of numbers or of flags."""
 
     __slots__ = ("_array", "_datatype")
 
@@ -85,7 +86,7 @@ class _Array(AbstractSequence):  # type: ignore[type-arg]
 
 
 def narrowed(message: Any) -> Any:
-    """Return a view of a message with numbers of 32 bits, and any other message as it is."""
+    """Return a view of a message with such fields, and any other message as it is."""
     return _Message(message) if _types_of(message.__class__) else message
 
 
@@ -103,19 +104,19 @@ def original(value: Any) -> Any:
 
 @lru_cache(maxsize=1000)
 def _types_of(message_class: Any) -> Mapping[str, str]:
-    """Return the types of the fields of a message that have numbers of 32 bits."""
+    """Return the types of the fields of a message that a view reads."""
     found = type_of(message_class)
     fields = {} if found is None else found.fields
-    return {name: datatype for name, datatype in fields.items() if _has_singles(datatype)}
+    return {name: datatype for name, datatype in fields.items() if _is_viewed(datatype)}
 
 
-def _has_singles(datatype: str) -> bool:
+def _is_viewed(datatype: str) -> bool:
     array = ARRAY.match(datatype)
     element = array.group(1) if array else datatype
     if "/" not in element:
-        return element == "float32"
+        return element in ("float32", "bool")
     found = known_type(element)  # of one that is not built here the message's class will tell
-    return found is None or any(map(_has_singles, found.fields.values()))
+    return found is None or any(map(_is_viewed, found.fields.values()))
 
 
 def _read(value: Any, datatype: str) -> Any:
@@ -124,5 +125,8 @@ def _read(value: Any, datatype: str) -> Any:
             return Single(c_float(value).value)
         except TypeError:  # its author put something else there
             return value
+    if datatype == "bool":
+        flag = plain(value)
+        return bool(flag) if isinstance(flag, int) else value
     array = ARRAY.match(datatype)
     return _Array(value, array.group(1)) if array else narrowed(value)

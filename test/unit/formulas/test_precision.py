@@ -41,6 +41,7 @@ def judged(formula, message):
 
 BATTERY = BatteryState(percentage=0.2, cell_voltage=[3.7, 0.1])
 SHAPE = PolygonStamped(polygon=Polygon([Point32(0.1, 0.7, -0.2)]))
+FLAGS = generate_dynamic("far_msgs/Flags", "bool fill\nbool[] axes")["far_msgs/Flags"](1, [0])
 SCAN = LaserScan(ranges=numpy.array([0.3], dtype=numpy.float32))
 
 
@@ -69,6 +70,11 @@ SCAN = LaserScan(ranges=numpy.array([0.3], dtype=numpy.float32))
         ("m.data == -9007199254740993", Int64(-(2**53) - 1), True, f"m.data = {-(2**53) - 1}"),
         ("m.data", Bool(numpy.bool_(True)), True, "m.data = true"),
         ("m", Bool(numpy.bool_(False)), False, "m = false"),
+        ("m", Bool(1), True, "m = true"),
+        ("m.data", Bool(0), False, "m.data = false"),
+        ("m.data", Bool(numpy.uint8(1)), True, "m.data = true"),
+        ("m.data == true", Bool(2), True, "m.data = true"),
+        ("m.fill and not m.axes[0]", FLAGS, True, "m.fill = true at 10, m.axes[0] = false"),
         ("-m.data < 0", UInt8(numpy.uint8(5)), True, "m.data = 5"),
         ("m.data * m.data > 999", UInt8(numpy.uint8(100)), True, "m.data = 100"),
         ("abs(m.data) == 128", Int8(numpy.int8(-128)), True, "m.data = -128"),
