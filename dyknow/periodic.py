@@ -19,6 +19,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from types import FrameType
 from typing import Callable, Generic, Iterator, Optional, TypeVar, Union, cast
@@ -389,7 +390,10 @@ class EventQueue(Generic[Event]):
             self._events.append(event)
 
     def deliver(self) -> None:
-        """Pass all events to the listener, unless another thread does; called under no lock."""
+        """Pass all events to the listener, unless another thread does; called under no lock.
+
+        An error of the listener is logged.
+        """
         while True:
             with self._state_lock:
                 if self._delivering or not self._events:
@@ -397,7 +401,7 @@ class EventQueue(Generic[Event]):
                 event = self._events.popleft()
                 self._delivering = True
             try:
-                self.listener(event)
+                attempt("a listener of events", partial(self.listener, event))
             finally:
                 with self._state_lock:
                     self._delivering = False

@@ -230,8 +230,8 @@ def acquire(
             meanwhile.
         pending: also accept a stream that cannot be made yet; see ``wait_until_active``.
         lease: the most seconds that the claim outlives this process.
-        on_event: called with each change of the claim (``before``, ``after``, ``reason``), on a
-            thread of rospy.
+        on_event: called with each change of the claim (``before``, ``after``, ``reason``), on any
+            thread; its errors are logged.
         client_id: name of the client; by default this node's.
         manager: the manager's node; by default ``$DYKNOW_MANAGER``, else ``dyknow_manager``.
         timeout: seconds allowed for making it.

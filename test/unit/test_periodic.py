@@ -18,6 +18,7 @@ from dyknow.periodic import (
     PAUSE,
     RETRY,
     ControlLoop,
+    EventQueue,
     PeriodicWorker,
     Workers,
     attempt,
@@ -258,6 +259,25 @@ def test_work_that_fails_in_the_background_is_logged(caplog: pytest.LogCaptureFi
     assert "dividing failed" in caplog.text
     assert attempt("counting", lambda: 3) == 3
     assert attempt("dividing", lambda: 1 // 0) is None
+
+
+def test_an_error_of_a_listener_is_logged_and_the_next_events_come(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    heard: List[int] = []
+
+    def listener(event: int) -> None:
+        heard.append(event)
+        if event == 1:
+            events.add(3)
+            raise ValueError("a mistake of the user")
+
+    events = EventQueue(listener)
+    events.add(1)
+    events.add(2)
+    events.deliver()
+    assert heard == [1, 2, 3]
+    assert "a mistake of the user" in caplog.text
 
 
 @pytest.mark.parametrize("is_enabled", [True, False])

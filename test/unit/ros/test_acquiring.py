@@ -166,3 +166,11 @@ def test_a_callback_may_release_and_late_events_revive_nothing(stream, events):
     stream.on_lost("unknown")
     assert stream.state is ClaimState.RELEASED
     assert [each.after.state for each in events] == [ClaimState.DEGRADED, ClaimState.RELEASED]
+
+
+def test_an_error_in_a_callback_does_not_come_out_of_the_block(stream):
+    stream._notifications.listener = mock.Mock(side_effect=KeyError("a mistake of the user"))
+    with stream:
+        pass
+    assert stream.state is ClaimState.RELEASED
+    stream._notifications.listener.assert_called_once()
