@@ -401,7 +401,9 @@ class _Parser:
         while self._token.text in (".", "["):
             if self._take().text == "[":
                 index = self._take()
-                if index.kind != "number" or not index.text.isdigit() or self._token.text != "]":
+                is_whole = index.kind == "number" and index.text.isdigit()
+                # Python refuses to convert thousands of digits.
+                if not is_whole or len(index.text) > 18 or self._token.text != "]":
                     hint = did_you_mean(token.text, _WORDS)
                     self._fail(
                         f"the index of '{token.text}' is one whole number{hint}", token.place

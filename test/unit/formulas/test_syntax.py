@@ -87,6 +87,7 @@ def test_what_is_read(text: str, written: str) -> None:
         ("every ?c p", 10, "expected '(' before the formula of the individuals"),
         ("every ?c (some ?d (p))", 11, "a quantifier cannot stand within another one"),
         ("a[1.5] > 2", 1, "the index of 'a' is one whole number"),
+        pytest.param(f"a[{'1' * 5000}] > 2", 1, "the index of 'a' is one whole", id="long index"),
         ("a.3 > 2", 2, "expected an operator such as 'and', or the end, found '.3'"),
         ("a.x > 'open", 7, "a text without its end is not part of a formula"),
         ("a.x > 2 $", 9, "'$' is not part of a formula"),

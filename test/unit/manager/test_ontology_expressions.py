@@ -368,6 +368,7 @@ def test_what_restrictions_and_properties_entail(ontology, text: str, expected: 
         "owl:hasValue :x",
         "owl:minCardinality 1",
         "owl:cardinality 2",
+        pytest.param(f'owl:minCardinality "{"9" * 5000}"', id="very many"),
         "owl:minQualifiedCardinality 3 ; owl:onClass :Other",
         "owl:qualifiedCardinality 1 ; owl:onDataRange rdfs:Literal",
     ],

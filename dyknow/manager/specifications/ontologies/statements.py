@@ -298,11 +298,12 @@ class OntologyStatements:
             ]
             read += [(_ANYTHING, False) for _ in graph.objects(node, OWL.hasValue)]
             for predicate in _COUNTS:
-                for count in map(str, graph.objects(node, predicate)):
-                    if count.isdecimal() and int(count) > 0:
+                for each in graph.objects(node, predicate):
+                    count = str(each).lstrip("0")  # may be too long to convert
+                    if count.isdecimal():
                         stated = (OWL.onClass, OWL.onDataRange)
                         fillers = [each for word in stated for each in graph.objects(node, word)]
-                        is_exact = int(count) == 1 and predicate in _COUNTS[:2]
+                        is_exact = count == "1" and predicate in _COUNTS[:2]
                         read.append((node_key((*fillers, OWL.Thing)[0]), is_exact))
             found += [_Relatives(node_key(node), node_key(name), *each) for each in read]
         return sorted(found)
