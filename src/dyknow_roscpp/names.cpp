@@ -131,7 +131,9 @@ std::string imageOf(const std::string& name)
 
 std::string globalOf(const std::string& port, const std::string& node)
 {
-  return port[0] == '/' ? port : port[0] == '~' ? join(node, port.substr(1)) : join(parent(node), port);
+  return port.empty() || port[0] == '/' ? port
+         : port[0] == '~'               ? join(node, port.substr(1))
+                                        : join(parent(node), port);
 }
 
 }  // namespace dyknow::names

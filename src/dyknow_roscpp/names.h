@@ -42,7 +42,7 @@ std::string base(const std::string& port);
 /// The image whose messages a topic, or a port, of image_transport has in another form; empty if it is none.
 std::string imageOf(const std::string& name);
 
-/// The global name of a port, before any remapping.
+/// The global name of a port, before any remapping; empty of an empty one.
 std::string globalOf(const std::string& port, const std::string& node);
 
 }  // namespace dyknow::names

@@ -69,6 +69,12 @@ private:
   std::vector<std::shared_ptr<End>> ends_;  ///< the last one that was added comes first
 };
 
+/// Whether the port of a change is this one; one to come may have come meanwhile, by another of its names.
+bool isSame(const std::shared_ptr<Port>& changed, const std::shared_ptr<Port>& port)
+{
+  return changed == port || (changed->resolved.empty() && changed->name.origin == port->name.origin);
+}
+
 }  // namespace
 
 NodeletProxy::NodeletProxy(std::string name, std::map<std::string, std::string> remappings,
@@ -95,15 +101,16 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
                                             const std::string& topic)
 {
   const auto known = this->ports();
-  const auto find = [&known, direction](const std::string& label)
+  const auto is_called = [this, direction](const Port& port, const std::string& label)
+  {
+    // Of one to come, neither the direction nor how the code will call its topic is known.
+    return port.resolved.empty() ? port.name.origin == names::globalOf(label, name)
+                                 : port.name.label == label && port.direction == direction;
+  };
+  const auto find = [&known, &is_called](const std::string& label)
   {
     return std::find_if(known.begin(), known.end(),
-                        [&label, direction](const auto& each)
-                        {
-                          const auto& port = *each.port;  // of one to come, the direction is not known
-                          return port.name.label == label &&
-                                 (port.direction == direction || port.resolved.empty());
-                        });
+                        [&label, &is_called](const auto& each) { return is_called(*each.port, label); });
   };
   std::string first = topicAtStart(topic);
   // What image_transport puts beside an image goes where that was moved, unless the load puts it elsewhere.
@@ -133,16 +140,17 @@ std::shared_ptr<Port> NodeletProxy::declare(const PortName& port_name, Direction
     for (auto each = ports_.begin(); each != ports_.end(); ++each)
     {
       const auto& known = **each;
-      if (known.name.label == port_name.label && known.resolved.empty())
+      if (!is_called(known, port_name.label))
       {
-        first = known.topic();  // now it has come, and its direction is known
-        ports_.erase(each);
-        break;
+        continue;
       }
-      if (known.name.label == port_name.label && known.direction == direction)
+      if (!known.resolved.empty())
       {
         return *each;
       }
+      first = known.topic();  // now it has come
+      ports_.erase(each);
+      break;
     }
     port = std::make_shared<Port>(name, port_name, direction, first, topic);
     ports_.push_back(port);
@@ -221,8 +229,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
   const auto is_changed = [&changes](const std::shared_ptr<Port>& port)
   {
     return std::any_of(changes.begin(), changes.end(),
-                       [&port](const auto& each) { return each.port->name.label == port->name.label &&
-                                                          each.port->direction == port->direction; });
+                       [&port](const auto& each) { return isSame(each.port, port); });
   };
   const auto change = [&](const NamedPort& port, const std::string& topic)
   {
@@ -270,7 +277,8 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
     for (const auto& each : ports)
     {
       const auto& port = each.port;
-      if (port->name.image == moved->name.label && port->direction == moved->direction && !is_changed(port) &&
+      if (names::globalOf(port->name.image, name) == moved->name.origin &&
+          port->direction == moved->direction && !is_changed(port) &&
           port->topic() == topicBeside(port->name, moved->topic()))
       {
         try
@@ -294,7 +302,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
 std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
                                                       const std::vector<NamedPort>& ports) const
 {
-  const std::string origin = text.empty() ? "" : names::globalOf(text, name);
+  const std::string origin = names::globalOf(text, name);
   std::vector<std::string> known;
   std::vector<std::shared_ptr<Port>> by_origin;
   std::vector<std::shared_ptr<Port>> by_image;  // of an image that comes by image_transport's topics alone
@@ -320,7 +328,7 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
   }
   if (by_origin.empty())
   {
-    by_origin.push_back(portToCome(text, origin, ports));
+    by_origin.push_back(portToCome(origin, ports));
   }
   if (by_origin.size() != 1 || !by_origin.front())  // of two it cannot say which
   {
@@ -330,16 +338,16 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
   return by_origin;
 }
 
-std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& text, const std::string& origin,
+std::shared_ptr<Port> NodeletProxy::portToCome(const std::string& origin,
                                                const std::vector<NamedPort>& ports) const
 {
   const auto remappings = this->remappings();
   const auto remapping = remappings.find(origin);
-  if (text.empty() || remapping == remappings.end())
+  if (remapping == remappings.end())
   {
     return nullptr;
   }
-  const PortName port_name{text[0] == '/' ? names::portOf(text, name) : text, origin, ""};
+  const PortName port_name{names::portOf(origin, name), origin, ""};
   // Misspelt, `out` for `~out`: no load names that. Code that watches the subscribers of `~image` may
   // subscribe to `image` then.
   const auto is_meant = [&](const auto& each)
@@ -389,11 +397,8 @@ void NodeletProxy::setTopicsLocked(std::vector<Change>& changes)
 {
   for (auto& change : changes)
   {
-    const auto is_same = [&change](const auto& each)
-    {
-      return each->name.label == change.port->name.label && each->direction == change.port->direction;
-    };
-    const auto known = std::find_if(ports_.begin(), ports_.end(), is_same);
+    const auto known = std::find_if(ports_.begin(), ports_.end(),
+                                    [&change](const auto& each) { return isSame(change.port, each); });
     if (known == ports_.end())
     {
       ports_.push_back(change.port);  // one to come

@@ -82,8 +82,7 @@ private:
 
   std::vector<Change> checked(const Config& config, const Guards& guards, const MasterState& master) const;
   std::vector<std::shared_ptr<Port>> find(const std::string& text, const std::vector<NamedPort>& ports) const;
-  std::shared_ptr<Port> portToCome(const std::string& text, const std::string& origin,
-                                   const std::vector<NamedPort>& ports) const;
+  std::shared_ptr<Port> portToCome(const std::string& origin, const std::vector<NamedPort>& ports) const;
   std::string topicAtStart(const std::string& remapped) const;
   void checkType(const NamedPort& port, const std::string& topic, const MasterState& master,
                  std::map<std::string, std::string>& types) const;

@@ -420,6 +420,18 @@ class PortTest(CppCase):
         ports = {port.name: port for port in graph.get_config("/lazy")}
         self.assertEqual(ports["image"].datatype, "sensor_msgs/Image")
 
+    def test_a_port_to_come_that_the_code_calls_by_a_global_name(self):
+        """So it is called when it comes; an image that is moved then takes its form along."""
+        for name in ("/global", "global"):
+            with self.subTest(name):
+                self.load("Source", "global", "/source/disconnected/global", late=True)
+                connect("/source", **{name: "/moved"})
+                start("/source")
+                form = {"/global": "/moved", "/global/compressed": "/moved/compressed"}
+                self.has_topics("/source", **form)
+                self.assertNotIn("global", topics_of_ports("/source"))
+                self.manager.unload("/source")
+
     def test_a_misspelt_port_is_none_to_come(self):
         """Even if the load has the name as well."""
         misspelt = {"echo": "~echo", "tf": "/tf", "loop": "loop_in or loop_out"}

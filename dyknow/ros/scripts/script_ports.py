@@ -60,11 +60,18 @@ class ScriptProxy(NodeletProxy):
         same = [p for (label, _), p in self._by_label.items() if self._origin(label) == origin]
         if same:
             return same[0] if len(same) == 1 else None
-        label, before = self._label(name), names.join(space, "")
+        label, before = self._label(origin), names.join(space, "")
         label = label[len(before) :] if label.startswith(before) else label
         if origin not in self._context.remappings or self._is_misspelt(label):
             return None
-        return self._ports.get(label) or _PortToCome(label, _Unknown, self._start(label))
+        return self._to_come(origin) or _PortToCome(label, _Unknown, self._start(label))
+
+    def _to_come(self, origin: str) -> _PortToCome | None:
+        """Find a port to come; how the script will call its topic is not known."""
+        for port in self._ports.values():
+            if isinstance(port, _PortToCome) and self._origin(port.name) == origin:
+                return port
+        return None
 
     def _is_misspelt(self, label: str) -> bool:
         """Whether a port to come is a port of another namespace that its load does not name.
@@ -84,10 +91,10 @@ class ScriptProxy(NodeletProxy):
         port = self._by_label.get((label, kind.direction))
         if port is None:
             topic = self._start(label)
-            come = self._ports.get(label)
-            if isinstance(come, _PortToCome):
+            come = self._to_come(self._origin(label))
+            if come is not None:
                 topic = come.topic
-                del self._ports[label]
+                del self._ports[come.name]
             other = self._by_label.get((label, OUT if kind.direction == IN else IN))
             if other is not None:
                 self._rename(other, f"{label}_{other.direction}")

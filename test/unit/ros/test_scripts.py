@@ -18,6 +18,7 @@ from clocks import PATIENCE, eventually, in_thread, join, wait_for
 from rospy import SubscribeListener
 from unit.nodelet.fakes import AnyMessage, Message, OtherMessage, World, numbers
 
+from dyknow import names
 from dyknow.errors import InvalidConfiguration, LoadFailed, PortConflict
 from dyknow.nodelet.handle import PlainNodeHandle
 from dyknow.proxy.handle import NodeHandle
@@ -356,6 +357,29 @@ def test_a_port_to_come_is_connected_when_it_comes(script):
     script.world.handle().Publisher("/cam2", Message).publish(1)
     script.world.drain()
     assert numbers(got) == [1]
+
+
+@pytest.mark.parametrize(
+    ("called", "name"),
+    [
+        ("/robot/image", "image"),
+        ("image", "/robot/image"),
+        ("/tf", "/tf"),
+        ("~info", "/robot/script/info"),
+        ("~info", "script/info"),
+        ("script/info", "~info"),
+        ("script/info", "/robot/script/info"),
+    ],
+)
+def test_it_is_called_as_the_script_calls_its_topic(called, name):
+    """Whichever of the topic's names its move had."""
+    script = Script(**{"/tf": "/start", "/robot/script/info": "/start"})
+    script.proxy.set_config([(names.resolve(name, "/robot", "/robot/script"), "/moved")])
+    script.proxy.set_config([(name, "/cam")])
+    assert len(script.ports()) == 2
+    script.handle.Subscriber(called, Message, print)
+    out = ("test/Message", "/robot/out")
+    assert script.ports() == {"out": out, called: ("test/Message", "/cam")}
 
 
 def test_it_may_turn_out_to_be_an_out_port(script):

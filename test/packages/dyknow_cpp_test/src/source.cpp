@@ -69,8 +69,12 @@ private:
     if (private_nh.param("late", false))
     {
       const std::string late = getNodeHandle().resolveName("late");
-      late_ = {getNodeHandle().advertise<std_msgs::Header>(late + "/compressed", 1),
-               getNodeHandle().advertise<std_msgs::Header>(late, 1)};
+      late_.clear();
+      const std::string global = "/global";
+      for (const auto& topic : {late + "/compressed", late, global + "/compressed", global})
+      {
+        late_.push_back(getNodeHandle().advertise<std_msgs::Header>(topic, 1));
+      }
     }
     sender_ =
         std::thread(&Source::send, this, private_nh.param("count", 1), private_nh.param("rate", 1000.0));
