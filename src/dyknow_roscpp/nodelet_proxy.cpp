@@ -255,7 +255,8 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
       const std::string topic = wanted.empty() ? "" : names::topicOf(wanted, name);
       for (const auto& port : found)
       {
-        if (port->name.image == text && named.count(port->name.label) > 0)
+        const bool is_beside = names::globalOf(port->name.image, name) == names::globalOf(text, name);
+        if (is_beside && named.count(port->name.label) + named.count(port->name.origin) > 0)
         {
           continue;  // it has an entry of its own
         }
@@ -263,7 +264,7 @@ std::vector<NodeletProxy::Change> NodeletProxy::checked(const Config& config, co
         {
           throw Refusal(shared::DUPLICATE_PORT, {text});
         }
-        change({text, port}, port->name.image == text ? topicBeside(port->name, topic) : topic);
+        change({text, port}, is_beside ? topicBeside(port->name, topic) : topic);
       }
     }
     catch (const Refusal& problem)
@@ -316,13 +317,13 @@ std::vector<std::shared_ptr<Port>> NodeletProxy::find(const std::string& text,
     {
       by_origin.push_back(each.port);
     }
-    if (!text.empty() && each.port->name.image == text)
+    if (!text.empty() && names::globalOf(each.port->name.image, name) == origin)
     {
       by_image.push_back(each.port);
     }
     known.push_back(each.name);
   }
-  if (!by_image.empty())
+  if (by_origin.empty() && !by_image.empty())
   {
     return by_image;
   }

@@ -382,6 +382,9 @@ class PortTest(CppCase):
             ("/moved/compressed", ("alone", "/moved")),
             ("/own", ("alone", "/a"), ("alone/compressed", "/own")),
             ("/other", ("alone/compressed", "/other"), ("alone", "/b")),
+            ("/third", ("/alone", "/c"), ("/alone/compressed", "/third")),
+            ("/fourth", ("/alone/compressed", "/fourth"), ("alone", "/d")),
+            ("/e/compressed", ("/alone", "/e")),
         ):
             answer = set_config_pairs("/names", *config)
             self.assertTrue(answer.success, answer.message)
@@ -398,8 +401,10 @@ class PortTest(CppCase):
             with self.subTest(remappings=remappings):
                 self.manager.load("Names", "/names", remappings)
                 self.has_topics("/names", **{"form/compressed": compressed})
-                connect("/names", form="/cam/x")
-                self.has_topics("/names", **{"form/compressed": "/cam/x/compressed"})
+                for port, image in (("form", "/cam/x"), ("/form", "/cam/z")):
+                    connect("/names", **{port: image})
+                    self.has_topics("/names", **{"form/compressed": f"{image}/compressed"})
+                self.assertNotIn("form", topics_of_ports("/names"))
                 self.manager.unload("/names")
 
     def test_camera_info_goes_with_the_image_that_was_subscribed_to_before_it(self):
