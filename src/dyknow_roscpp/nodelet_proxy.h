@@ -49,6 +49,8 @@ public:
   std::string loader;                   ///< node that had it loaded; set before it is offered
   std::atomic<bool> is_offered{false};  ///< its services are
   const std::shared_ptr<ReconfigureListener> listener = std::make_shared<ReconfigureListener>();
+  std::mutex noted_lock;
+  std::map<std::string, std::string> noted;  ///< labels by resolved name, of port_names.h; under its lock
 
   std::map<std::string, std::string> remappings() const;
   void add(const std::map<std::string, std::string>& remappings);

@@ -6,7 +6,6 @@
 #include <ros/names.h>
 
 #include <algorithm>
-#include <map>
 #include <mutex>
 #include <utility>
 #include <vector>
@@ -20,19 +19,6 @@ namespace
 
 /// Names of one owner that are kept at most.
 constexpr std::size_t MOST_NAMES = 1000;
-
-std::mutex& tableLock()
-{
-  static auto& state_lock = *new std::mutex;  // leaked, see later.cpp
-  return state_lock;
-}
-
-/// By owner: port names by resolved name. Nodelets that are loaded again ask for the same names.
-std::map<std::string, std::map<std::string, std::string>>& table()
-{
-  static auto& names = *new std::map<std::string, std::map<std::string, std::string>>;
-  return names;
-}
 
 std::map<std::string, std::string> remappingsOf(const NodeletProxy& owner)
 {
@@ -80,12 +66,12 @@ PortName leftPort(const std::vector<NodeletProxy::NamedPort>& ports, const std::
 }
 
 /// The port of a resolved name that was left or noted; its label is empty if there is none.
-PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direction direction)
+PortName knownPort(NodeletProxy& owner, const std::string& resolved, Direction direction)
 {
   auto ports = owner.ports();
   const auto left = leftPort(ports, resolved, direction);
-  std::lock_guard<std::mutex> lock(tableLock());
-  const auto& noted = table()[owner.name];
+  std::lock_guard<std::mutex> lock(owner.noted_lock);
+  const auto& noted = owner.noted;
   if (const auto found = noted.find(resolved); found != noted.end())
   {
     return {found->second, names::globalOf(found->second, owner.name), ""};
@@ -128,7 +114,7 @@ PortName knownPort(const NodeletProxy& owner, const std::string& resolved, Direc
 
 }  // namespace
 
-PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic,
+PortName namePort(NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic,
                   Direction direction)
 {
   if (topic.empty() || topic[0] != '/')
@@ -144,7 +130,7 @@ PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
   return {label, topic, names::imageOf(label)};
 }
 
-void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
+void noteResolved(NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
                   const std::string& resolved)
 {
   const bool is_global = asked[0] == '/';
@@ -164,8 +150,8 @@ void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, cons
       return;
     }
   }
-  std::lock_guard<std::mutex> lock(tableLock());
-  auto& noted = table()[owner.name];
+  std::lock_guard<std::mutex> lock(owner.noted_lock);
+  auto& noted = owner.noted;
   const auto found = noted.find(resolved);
   // image_transport resolves what its caller has resolved, whose name stays.
   const bool is_free = !is_global || found == noted.end() || (found->second[0] == '/' && clean != resolved);

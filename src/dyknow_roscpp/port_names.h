@@ -17,12 +17,12 @@ namespace dyknow
 /// Names the port of a topic that the code of `owner` asks of a handle. Its namespace may have been remapped,
 /// which is taken back. Code that keeps the options of a handle for the next one, as message_filters does,
 /// asks for the resolved name then.
-PortName namePort(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic,
+PortName namePort(NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& topic,
                   Direction direction);
 
 /// Notes that the code of `owner` has let roscpp resolve a name. A handle that advertises the resolved name
 /// later, as image_transport does, is a port of the requested name.
-void noteResolved(const NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
+void noteResolved(NodeletProxy& owner, const ros::NodeHandle& handle, const std::string& asked,
                   const std::string& resolved);
 
 }  // namespace dyknow

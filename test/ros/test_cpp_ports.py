@@ -364,6 +364,13 @@ class PortTest(CppCase):
         self.has_topics("/robot/names", **topics)
         self.assertIn("publishers /robot/spoken", graph.registered(MANAGER))
 
+    def test_names_are_not_those_of_a_former_nodelet_of_the_name(self):
+        remapped = {"/image": "/absolute", "/names/image": "/tf"}
+        self.manager.load("image_proc/resize", "/names", remapped)
+        self.manager.unload("/names")
+        self.manager.load("Names", "/names")
+        self.has_topics("/names", **{"/absolute": "/absolute", "/tf": "/tf"})
+
     def test_what_image_transport_adds_goes_with_the_image(self):
         self.manager.load("Names", "/names", {"/resolved": "/found"})
         for config, compressed in (
