@@ -202,7 +202,7 @@ def _signal(sandbox: Sandbox) -> View:
         for number in (signal.SIGINT, signal.SIGTERM):
             handler = handlers.get(number)
             if callable(handler):
-                with contextlib.suppress(SystemExit):
+                with contextlib.suppress(SystemExit, KeyboardInterrupt):
                     handler(number, None)
                 return
 

@@ -9,6 +9,7 @@ handle, threads and shutdown hooks, and ends them all when the nodelet is unload
 
 from __future__ import annotations
 
+import collections
 import ctypes
 import logging
 import math
@@ -40,6 +41,8 @@ _STEP = 0.02
 _AFTERWARDS = 1.0
 #: Seconds of a slice of a wait.
 _SLICE = 0.1
+#: Sleeps that the end cuts short before it ends a thread; of one that calls hooks, many.
+_SLEEPS, _SLEEPS_IN_HOOKS = 1, 1000
 #: Threads after which those that have ended are forgotten.
 _MANY = 32
 
@@ -143,12 +146,14 @@ class Sandbox:
         #: Its topics and services, which refer to its callbacks.
         self.ends: weakref.WeakSet[Any] = weakref.WeakSet()
         self.is_ending = False
-        self._ending_thread: threading.Thread | None = None
+        #: Threads that call hooks, handlers of signals or ``atexit`` functions.
+        self._in_hooks: set[threading.Thread] = set()
         self._end_of_sleep = math.inf
         self._lock = state_lock("sandbox")
         self._waiting: list[Callable[[PlainNodeHandle], None]] = []
         self._non_daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-        self._released: set[int] = set()
+        #: Sleeps that were cut short, by thread.
+        self._released: collections.Counter[int] = collections.Counter()
         self._is_over = False
 
     @property
@@ -244,7 +249,7 @@ class Sandbox:
     def rest(self, seconds: float) -> bool:
         """Sleep until ``seconds`` pass or the sandbox is closing; return whether it is closing."""
         self.waits()
-        if threading.current_thread() is self._ending_thread:
+        if threading.current_thread() in self._in_hooks:
             seconds = min(seconds, self._end_of_sleep - time.monotonic())
         ends = self.closing.wait(max(0.0, seconds))
         if self._is_over:  # it is late, or catches SystemExit: that would spin
@@ -255,7 +260,8 @@ class Sandbox:
         """Sleep until ``seconds`` pass or the sandbox is closing.
 
         The first sleep of a thread that the end cuts short returns, so that loops which check
-        ``rospy.is_shutdown`` end in order.
+        ``rospy.is_shutdown`` end in order. In hooks and ``atexit`` functions the later ones do
+        too, unless they never end.
 
         Raises:
             SystemExit: a later sleep of the thread is cut short. In a process of its own every
@@ -263,11 +269,11 @@ class Sandbox:
         """
         if not self.rest(seconds) or self.is_alone:
             return
+        is_in_hooks = threading.current_thread() in self._in_hooks
         thread = threading.get_ident()
-        if thread not in self._released:
-            self._released.add(thread)
-            return
-        raise SystemExit
+        self._released[thread] += 1
+        if self._released[thread] > (_SLEEPS_IN_HOOKS if is_in_hooks else _SLEEPS):
+            raise SystemExit
 
     def waits(self) -> None:
         """Note that the code waits, so its load need not take any longer."""
@@ -281,6 +287,8 @@ class Sandbox:
             condition: waits at most so many seconds, and returns whether it came true. It is not
                 called again then.
             timeout: seconds to wait at most; None for any time.
+
+        In hooks and ``atexit`` functions the end of the sandbox ends the wait as a timeout does.
 
         Raises:
             SystemExit: the sandbox is to end.
@@ -297,6 +305,8 @@ class Sandbox:
                 if condition(0.0):
                     return True
                 self.pause(0.0)
+                if threading.current_thread() in self._in_hooks:
+                    return False
 
     # The end
 
@@ -313,14 +323,13 @@ class Sandbox:
         Returns:
             Whether it was not shut down before.
         """
-        me = threading.current_thread()
         with self._lock:
             is_first = not self.is_ending
             if is_first:
-                self.is_ending, self._ending_thread = True, me
+                self.is_ending = True
                 self._end_of_sleep = time.monotonic() + patience
         if not is_first:
-            if waits and self._ending_thread is not me:  # else a hook asks for it again
+            if waits and threading.current_thread() not in self._in_hooks:  # else one asks again
                 self.closing.wait()
             return False
         for hook in list(self.hooks):
@@ -386,10 +395,14 @@ class Sandbox:
             vars(thread).pop("_callback", None)  # of a ``rospy.Timer``
 
     def _attempt(self, call: Callable[[], Any], what: str) -> None:
+        me = threading.current_thread()
+        self._in_hooks.add(me)
         try:
             call()
         except BaseException:  # the boundary: the other hooks, and the unload, go on
             _log.error("%s: %s raised\n%s", self.name, what, traceback.format_exc())
+        finally:
+            self._in_hooks.discard(me)
 
 
 class SandboxEnd(Closable):

@@ -169,6 +169,48 @@ class TestWhatConcernsTheProcess:
         wait_for(scripts.witness.exited)
         assert scripts.witness.calls == called
 
+    STOP = """
+import atexit, signal, threading, time
+never = threading.Event()
+def stop(*unused):
+    for _ in range(3):
+        time.sleep(1000.0)
+    script_witness.entered.set()
+    for _ in range(3):
+        never.wait()
+    worker.join()
+    script_witness.ended.set()
+worker = threading.Thread(target=script_witness.go_on.wait)
+worker.start()
+"""
+
+    @pytest.mark.parametrize(
+        "how",
+        [
+            "atexit.register(stop)",
+            "signal.signal(signal.SIGINT, stop)",
+            "rospy.core.add_shutdown_hook(stop)",
+        ],
+    )
+    def test_every_sleep_and_wait_of_its_last_functions_returns(self, scripts, caplog, how):
+        scripts.load(f"{self.STOP}{how}\nrospy.spin()")
+        scripts.unload()
+        wait_for(scripts.witness.ended)
+        assert "raised" not in caplog.text
+
+    def test_a_last_function_that_sleeps_for_ever_is_ended(self, scripts):
+        scripts.load(
+            "import atexit, time\natexit.register(script_witness.exited.set)\n"
+            "@atexit.register\ndef wait():\n    while True: time.sleep(0.1)"
+        )
+        wait_for(scripts.witness.exited)
+
+    def test_an_interrupt_that_python_would_raise_is_no_failure(self, scripts, caplog):
+        interrupt = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+        scripts.load(f"import signal\n{interrupt}\nrospy.spin()")
+        scripts.unload()
+        assert "KeyboardInterrupt" not in caplog.text
+
     def test_its_command_line_and_path_are_its_own(self, scripts, tmp_path):
         (tmp_path / "below").mkdir()
         (tmp_path / "below" / "beside.py").write_text("number = 5\n")
