@@ -130,6 +130,7 @@ class _Topic:
         self.type = data_class._type
         self.md5sum = data_class._md5sum
         self._end: Any = None
+        self._is_gone = False  # perhaps before ``init_node``
 
     @property
     def name(self) -> str:
@@ -147,6 +148,7 @@ class _Topic:
         return self._end.get_num_connections() if self._end is not None else 0
 
     def unregister(self) -> None:
+        self._is_gone = True
         if self._end is not None:
             outside_of_finalizers(self._end.unregister)
 
@@ -163,8 +165,9 @@ class SandboxedPublisher(_Topic):
         self._header = connection_header(self.data_class, arguments["latch"])
 
         def make(handle: PlainNodeHandle) -> None:
-            self._end = handle.Publisher(**arguments)
-            self._header["callerid"] = handle.get_name()
+            if not self._is_gone:
+                self._end = handle.Publisher(**arguments)
+                self._header["callerid"] = handle.get_name()
 
         self.sandbox.with_handle(make)
 
@@ -197,7 +200,8 @@ class SandboxedSubscriber(_Topic):
             arguments["callback"] = self._copying(self.callback)
 
         def make(handle: PlainNodeHandle) -> None:
-            self._end = handle.Subscriber(**arguments)
+            if not self._is_gone:
+                self._end = handle.Subscriber(**arguments)
 
         self.sandbox.ends.add(self)
         self.sandbox.with_handle(make)
@@ -232,11 +236,13 @@ class SandboxedService:
         self.handler = arguments["handler"]
         self.resolved_name = arguments["name"]
         self._offered: Any = None
+        self._is_gone = False  # perhaps before ``init_node``
         arguments["handler"] = functools.partial(self.sandbox.call, self.handler)
 
         def make(handle: PlainNodeHandle) -> None:
-            self._offered = handle.Service(**arguments)
-            self.resolved_name = self._offered.resolved_name
+            if not self._is_gone:
+                self._offered = handle.Service(**arguments)
+                self.resolved_name = self._offered.resolved_name
 
         self.sandbox.ends.add(self)
         self.sandbox.with_handle(make)
@@ -246,6 +252,7 @@ class SandboxedService:
         self.handler = None
 
     def shutdown(self, reason: str = "") -> None:
+        self._is_gone = True
         if self._offered is not None:
             outside_of_finalizers(functools.partial(self._offered.shutdown, reason))
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 from clocks import PATIENCE, in_thread, join, wait_for
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from dyknow.errors import LoadFailed, UnloadedMeanwhile
 from dyknow.nodelet.loading import loader
@@ -21,6 +23,7 @@ from dyknow.nodelet.loading.plugins import Package
 from dyknow.ros.scripts import sandbox as sandbox_module
 from dyknow.ros.scripts.modules import importer_with_libraries
 from dyknow.ros.scripts.process_view import process_views
+from dyknow.ros.scripts.rospy_classes import bound_classes
 from dyknow.ros.scripts.sandbox import Sandbox, defer_in_finalizers, outside_of_finalizers
 from dyknow.ros.scripts.script import ScriptNodelet
 
@@ -365,3 +368,27 @@ def test_a_script_that_is_unloaded_while_it_shuts_down_leaves_no_thread(process)
     unload_amid(process, lambda: process.load(text))
     process.witness.go_on.set()
     assert all_has_ended(process)
+
+
+def test_what_is_unregistered_before_init_node_is_never_registered():
+    sandbox: Any = Sandbox("/sandbox", is_alone=True)
+    made = []
+    classes = bound_classes(sandbox)
+    for is_kept in (False, True):
+        ends = (
+            classes["Publisher"]("out", String, queue_size=1),
+            classes["Subscriber"]("in", String, print),
+            classes["Service"]("obey", Trigger, print),
+        )
+        if not is_kept:
+            for each in ends[:2]:
+                each.unregister()
+            ends[2].shutdown()
+
+    def make(name, *args, **kwds):
+        made.append(name)
+        return SimpleNamespace(name=name, resolved_name=name)
+
+    makers = dict.fromkeys(("Publisher", "Subscriber", "Service"), make)
+    sandbox.begin(SimpleNamespace(get_name=str, **makers))
+    assert made == ["out", "in", "obey"]
