@@ -149,13 +149,14 @@ class _ScriptProcess:
         self._manager.be(NodeletKind.NODE, remappings)
 
     def _nodelet_class(self) -> type[Nodelet]:
-        sandbox, main_over = self._sandbox, self._main_over
+        sandbox, main_over, stop = self._sandbox, self._main_over, self._stop
 
         class Itself(Nodelet):
             """Stands for the script among the nodelets, of which it is the only one."""
 
             def bind(self, context: Context) -> None:
                 context.executor = context.runtime.blocking
+                context.unload = stop
                 super().bind(context)
 
             def on_init(self) -> None:

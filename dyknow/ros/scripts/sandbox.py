@@ -192,6 +192,9 @@ class Sandbox:
         context = self.context
         if context is None:
             return
+        if self.is_alone:  # nobody waits for its load
+            in_background(f"unloading {self.name}", context.unload)
+            return
 
         def begin() -> None:
             if why:

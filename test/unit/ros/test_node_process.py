@@ -68,6 +68,14 @@ with open("script.py", "w") as file:
     file.write("import rospy\\nrospy.init_node('script')\\nrospy.spin()\\nprint('over')")
 sys.exit(main(["script.py"]))
 """
+SHUT_DOWN = """
+from dyknow.ros.nodelets.script_process import main
+
+text = "rospy.init_node('script')\\nrospy.signal_shutdown('enough')\\nprint('over')"
+with open("script.py", "w") as file:
+    file.write("import rospy\\n" + text)
+sys.exit(main(["script.py"]))
+"""
 WOKEN = """
 from rospy.impl.registration import RegManager
 from dyknow.ros.process.node_process import NodeProcess
@@ -170,6 +178,10 @@ def test_a_node_that_is_killed_while_it_starts_ends_in_order(tmp_path, code, sta
 
 def test_the_end_waits_for_what_other_threads_withdraw(tmp_path):
     assert ends(tmp_path, MASTER + WITHDRAWN) == (0, ["withdrawn", ""])
+
+
+def test_a_script_that_shuts_its_node_down_does_not_log_dyknow(tmp_path):
+    assert ends(tmp_path, MASTER + SHUT_DOWN) == (0, ["over", ""])
 
 
 #: The master comes back at its address, or the node is told to end.

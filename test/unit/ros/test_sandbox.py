@@ -392,3 +392,12 @@ def test_what_is_unregistered_before_init_node_is_never_registered():
     makers = dict.fromkeys(("Publisher", "Subscriber", "Service"), make)
     sandbox.begin(SimpleNamespace(get_name=str, **makers))
     assert made == ["out", "in", "obey"]
+
+
+def test_a_script_in_a_process_of_its_own_ends_that_without_a_callback_of_its_node():
+    """The log would tell of it."""
+    sandbox: Any = Sandbox("/sandbox", is_alone=True)
+    ended = threading.Event()
+    sandbox.begin(SimpleNamespace(context=SimpleNamespace(unload=ended.set)))
+    sandbox.signal_shutdown("enough")
+    wait_for(ended)
