@@ -187,7 +187,9 @@ def _threading(sandbox: Sandbox) -> View:
     waiting = ("Event", "Semaphore", "BoundedSemaphore", "Barrier")
     own: dict[str, Any] = {each: with_condition(getattr(threading, each)) for each in waiting}
     own.update(Thread=Thread, Timer=Timer, Condition=Condition, main_thread=lambda: sandbox.main)
-    return View(threading, own)
+    view = View(threading, own)
+    sandbox.thread_hook = lambda: vars(view).get("excepthook")
+    return view
 
 
 def _signal(sandbox: Sandbox) -> View:

@@ -115,6 +115,7 @@ class Sandbox:
         threads: the threads that its code started.
         on_refusal: called when a refused call ends a thread or a callback.
         on_signal: called when others end its code, as a signal would.
+        thread_hook: returns the ``threading.excepthook`` that its code has set, or None.
         main: its main thread; None for libraries.
     """
 
@@ -138,6 +139,7 @@ class Sandbox:
         self.threads: list[threading.Thread] = []
         self.on_refusal: Callable[[NeedsProcess], None] = lambda refusal: None
         self.on_signal: Callable[[], None] = _do_nothing
+        self.thread_hook: Callable[[], Any] = _do_nothing
         #: Shutdown hooks, by phase: on_shutdown, pre-shutdown and shutdown.
         self.hooks: list[Callable[[], None]] = []
         self.hooks_before: list[Callable[[str], None]] = []
@@ -222,7 +224,13 @@ class Sandbox:
 
             def noted() -> None:
                 with context.executor.record.noting(context.mark):
-                    self.call(run)
+                    try:
+                        self.call(run)
+                    except Exception:
+                        hook = self.thread_hook()
+                        if hook is None:
+                            raise
+                        hook(threading.ExceptHookArgs((*sys.exc_info(), thread)))
 
             thread.run = noted  # type: ignore[method-assign]
 
@@ -392,7 +400,7 @@ class Sandbox:
         for hooks in (self.hooks, self.hooks_before, self.hooks_after):
             hooks.clear()
         self.on_refusal = lambda refusal: None
-        self.on_signal = _do_nothing
+        self.on_signal = self.thread_hook = _do_nothing
         for thread in [each for each in self.threads if not each.is_alive()]:
             vars(thread).pop("run", None)
             vars(thread).pop("_callback", None)  # of a ``rospy.Timer``

@@ -236,6 +236,20 @@ worker.start()
         assert scripts.witness.found == "second-word\n"
         assert capfd.readouterr().out == "first\n"
 
+    @pytest.mark.parametrize("kind", ["Thread(target=fail)", "Timer(0.0, fail)"])
+    def test_its_hook_has_what_its_threads_raise(self, scripts, kind):
+        scripts.load(
+            "import threading\n"
+            "def fail(): raise ValueError('no camera')\n"
+            "def note(failed): script_witness.found = failed\n"
+            f"threading.excepthook = note\nthread = threading.{kind}\n"
+            "thread.start()\nthread.join()\nscript_witness.thread = thread"
+        )
+        kind, error, trace, thread = scripts.witness.found
+        assert (kind, str(error), thread) == (ValueError, "no camera", scripts.witness.thread)
+        assert trace is not None
+        del scripts.witness.found, scripts.witness.thread
+
     def test_messages_bring_no_command_line_of_the_process_along(self, scripts):
         """Modules of message types have no ``__all__``, and import ``sys``."""
         scripts.load(
