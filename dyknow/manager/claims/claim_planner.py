@@ -623,7 +623,7 @@ class ClaimPlanner:
             return price
         exclude = frozenset(claim.request.exclude)
         demand = demand_of(self._table.together(claim))
-        streams = self._streams(exclude, self._monitor.unfit().keys())
+        streams = self._without_relays(self._streams(exclude, self._monitor.unfit().keys()))
         with self._planning(known) as (planner, _):
             charges = planner.charges(demand, streams, exclude, wishes)
         named = {source_name(stream) for stream, _ in streams}

@@ -197,6 +197,17 @@ def test_what_runs_for_others_does_not_stand_in_for_what_is_preferred(field: Fie
     assert "/ceiling_camera_1" in field.claim(claim.claim_id).nodelets
 
 
+def test_a_relay_is_not_charged_for_the_stream_that_it_forwards() -> None:
+    field = Field(":memory:", RELAY, "")
+    field.add("robot camera", {"image": ("out", ["Image(robot_camera)"])})
+    field.acquire("Image(robot_camera)")
+    field.settle(2.0)
+    field.acquire("Image(robot_camera)", avoid=("robot_camera",))
+    field.settle(10.0)
+    assert len(field.labels()) == 2, "a camera and a relay"
+    assert news(field) == []
+
+
 def test_what_is_both_preferred_and_avoided_is_refused(field: Field) -> None:
     with pytest.raises(BadParameter, match="'avoid' is 'x': expected a name that is not in pref"):
         field.acquire(prefer=("x", "y"), avoid=("x",))
