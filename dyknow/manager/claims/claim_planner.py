@@ -37,7 +37,6 @@ from dyknow.manager.planning.problem import (
     Wishes,
     meets,
     required_tags,
-    source_name,
     ways_to_meet,
 )
 from dyknow.manager.planning.request import matched
@@ -74,8 +73,8 @@ class Situation(NamedTuple):
     paused: frozenset[str]  # labels of which nothing is to be made since they failed lately
     external: frozenset[str]  # labels of external nodes, of which none is made
     wishes: Wishes
-    #: Parts upstream of each nodelet of the streams, where there are wishes.
-    upstream: Mapping[str, frozenset[str]]
+    #: Labels upstream of each nodelet of the streams, where there are wishes.
+    upstream: Mapping[str, Sequence[str]]
     budget: float  # seconds that the improvement of the plan may take
     known: Transformations
     verdicts: Verdicts | None  # those that transformations require; None to disregard them
@@ -511,25 +510,16 @@ class ClaimPlanner:
         return tuple([each for each in streams if each[0].nodelet not in relays])
 
     def _upstream(
-        self, claim: Claim, streams: Sequence[TaggedStream]
-    ) -> dict[str, frozenset[str]]:
-        """Parts upstream of each nodelet of streams, where the claim has wishes about them."""
+        self, claim: Claim, streams: Iterable[TaggedStream]
+    ) -> Mapping[str, Sequence[str]]:
+        """Labels upstream of each nodelet of streams, where the claim has wishes about them."""
         if claim.wishes == NO_WISHES:
             return {}
         world, found = self._world(), {}
-        named = {source_name(stream) for stream, _ in streams}
         for name in {stream.nodelet for stream, _ in streams if stream.nodelet}:
             wiring, topics = world.upstream([name], self.ordinary)
-            found[name] = self._parts(wiring.keys() - {name}, topics, named)
+            found[name] = sorted(self._labels(wiring.keys() - {name}, topics))
         return found
-
-    def _parts(
-        self, nodelets: Iterable[str], topics: Iterable[str], named: AbstractSet[str]
-    ) -> frozenset[str]:
-        """Nodelets and topics by their names, or labels where ``named`` does not include these."""
-        nodelets, topics = set(nodelets), set(topics)
-        labels = self._labels(nodelets - named, topics - named)
-        return frozenset({*((nodelets | topics) & named), *labels})
 
     def _labels(self, nodelets: Iterable[str], topics: Iterable[str]) -> list[str]:
         """Labels of nodelets that run, and of ordinary topics."""
@@ -626,9 +616,8 @@ class ClaimPlanner:
         streams = self._without_relays(self._streams(exclude, self._monitor.unfit().keys()))
         with self._planning(known) as (planner, _):
             charges = planner.charges(demand, streams, exclude, wishes)
-        named = {source_name(stream) for stream, _ in streams}
-        parts = self._parts(claim.nodelets, claim.sources, named)
-        return price + sum(charges.get(each, 0) for each in parts)
+        labels = self._labels(claim.nodelets, claim.sources)
+        return price + sum(charges.get(label, 0) for label in labels)
 
     def _saved(
         self, claim: Claim, own: Iterable[OwnNodelet], known: Transformations

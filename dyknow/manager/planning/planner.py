@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import AbstractSet, Callable, Iterable, Mapping
+from typing import AbstractSet, Callable, Iterable, Mapping, Sequence
 
 from dyknow.garbage import without_collection
 from dyknow.manager.planning.and_or_graph import Draft, Node, Reach
@@ -40,7 +40,6 @@ from dyknow.manager.planning.problem import (
     Streams,
     Verdicts,
     Wishes,
-    source_name,
 )
 from dyknow.manager.planning.reasons import no_plan, too_few
 from dyknow.manager.planning.request import NEVER, NO_FEEDERS, Request
@@ -107,7 +106,7 @@ class Planner:
         paused: AbstractSet[str] = NO_LABELS,
         budget: float = BUDGET,
         wishes: Wishes = NO_WISHES,
-        feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
+        feeders: Mapping[str, Sequence[str]] = NO_FEEDERS,
         verdicts: Verdicts | None = NO_VERDICTS,
         refused: AbstractSet[str] = NO_TYPES,
     ) -> Answer:
@@ -116,9 +115,8 @@ class Planner:
         Streams that are ``live`` exist, and cost nothing. Labels of ``exclude`` must not be used,
         live or new; of ``paused`` ones no new nodelet is made. Nodelets of ``free`` labels can be
         connected elsewhere at no cost, each with bindings that it has to keep. ``feeders`` are
-        those of live streams, as `charges` knows them, by nodelet; ``verdicts`` those that
-        transformations require, None to disregard them; ``refused`` ROS types that the stream
-        must not have.
+        labels of the feeders of live streams, by nodelet; ``verdicts`` those that transformations
+        require, None to disregard them; ``refused`` ROS types that the stream must not have.
 
         Beyond the budget (s) a plan is looked for, but not improved. It counts steps, so equal
         problems have equal plans; the clock ends the improvement only where a step takes long.
@@ -176,10 +174,7 @@ class Planner:
         wishes: Wishes,
         library: OperatorIndex | None = None,
     ) -> dict[str, int]:
-        """Return the charges of the parts that may help to meet a demand.
-
-        New ones are known by their labels, running ones by their names (`source_name`): the tags
-        of these bear names where those of their transformations have variables.
+        """Return the charges of the parts that may help to meet a demand, by label.
 
         A part that the client avoids is charged `AVOIDED`. A part that supplies a demand that a
         preferred one could supply as well is charged `NOT_PREFERRED`, unless it is preferred
@@ -193,29 +188,26 @@ class Planner:
         request = Request(library, demand, streams, exclude)
         request.is_whole = True
         tags: dict[str, set[Term]] = {}
-        labels: dict[str, str] = {}
         for stream, terms in streams:
             if stream.label not in exclude:
-                name = source_name(stream)
-                tags.setdefault(name, set()).update(terms)
-                labels[name] = stream.label
+                tags.setdefault(stream.label, set()).update(terms)
+        actions = {library.actions[label] for label in tags if label in library.actions}
         suppliers: list[set[str]] = []
         for pattern in Reach(request).patterns:
             facts = [head for head, _ in request.facts(pattern)]
             makers = [offer.action for offer in request.offers(pattern)]
             new = {*makers, *[head.action for head in facts if head.live is None]}
-            for action in new:
-                for head in action.heads:
-                    tags.setdefault(action.label, set()).update(read_tags(head.port.tags))
-            running = [source_name(head.live) for head in facts if head.live is not None]
-            suppliers.append({*[e.label for e in new], *running})
+            actions |= new
+            suppliers.append({*[e.label for e in new], *[head.label for head in facts]})
+        for action in actions:  # running parts are meant as new ones are, by the library's tags
+            tags[action.label] = {each for e in action.heads for each in read_tags(e.port.tags)}
 
         def meant(wanted: Iterable[str]) -> frozenset[str]:
             concepts = frozenset(map(names.canonical, wanted))
             return frozenset(
-                each
-                for each, terms in tags.items()
-                if labels.get(each, each) in wanted
+                label
+                for label, terms in tags.items()
+                if label in wanted
                 or any(
                     not concepts.isdisjoint(names.above(names.canonical(name)))
                     for term in terms
@@ -227,8 +219,8 @@ class Planner:
         charges = dict.fromkeys(meant(wishes.avoid), AVOIDED)
         preferred = meant(wishes.prefer)
         others = {each for some in suppliers if preferred & some for each in some - preferred}
-        for part in others:
-            charges[part] = charges.get(part, 0) + NOT_PREFERRED
+        for label in others:
+            charges[label] = charges.get(label, 0) + NOT_PREFERRED
         return charges
 
     @without_collection()

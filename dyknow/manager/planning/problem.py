@@ -76,11 +76,6 @@ class Live(NamedTuple):
     latency: float = 0.0  # seconds that its nodelet and all that feeds it state
 
 
-def source_name(stream: Live) -> str:
-    """Return the name of what publishes a stream: a nodelet, or the topic of an ordinary node."""
-    return stream.nodelet or stream.topic
-
-
 TaggedStream = Tuple[Live, Tuple[Term, ...]]
 """A stream and what it is about."""
 Streams = Iterable[TaggedStream]

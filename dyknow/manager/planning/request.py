@@ -44,7 +44,6 @@ from dyknow.manager.planning.problem import (
     Free,
     TaggedStream,
     Verdicts,
-    source_name,
 )
 from dyknow.model.transformation import OUT, Port
 
@@ -60,7 +59,7 @@ Nodelet = TypeVar("Nodelet")
 
 NO_CHARGES: Mapping[str, int] = MappingProxyType({})
 """Nothing has to be paid besides the costs."""
-NO_FEEDERS: Mapping[str, frozenset[str]] = MappingProxyType({})
+NO_FEEDERS: Mapping[str, Sequence[str]] = MappingProxyType({})
 """It is not known what feeds the live streams."""
 
 
@@ -80,7 +79,7 @@ class Request:
         paused: AbstractSet[str] = NO_LABELS,
         free: Free = NO_FREE,
         charges: Mapping[str, int] = NO_CHARGES,
-        feeders: Mapping[str, frozenset[str]] = NO_FEEDERS,
+        feeders: Mapping[str, Sequence[str]] = NO_FEEDERS,
         verdicts: Verdicts | None = NO_VERDICTS,
         refused: AbstractSet[str] = NO_TYPES,
         wanted: Sequence[str] = (),
@@ -132,7 +131,7 @@ class Request:
             if each[0].label in exclude:
                 self._unusable.append(each)
             else:
-                by_name.setdefault(source_name(each[0]), []).append(each)
+                by_name.setdefault(each[0].nodelet or each[0].topic, []).append(each)
         heads = [
             replace(head, cost=floor)
             for action, floor in self._floors.items()
@@ -140,8 +139,8 @@ class Request:
             for head in action.heads
         ]
         for name, some in by_name.items():
-            parts = {name, *feeders.get(some[0][0].nodelet, ())}
-            heads += self._source(name, sum([charges.get(e, 0) for e in parts]), some)
+            labels = (some[0][0].label, *feeders.get(some[0][0].nodelet, ()))
+            heads += self._source(name, sum([charges.get(e, 0) for e in labels]), some)
         self._local = bucketed(heads)
 
     def _source(self, name: str, cost: int, streams: Iterable[TaggedStream]) -> tuple[Head, ...]:

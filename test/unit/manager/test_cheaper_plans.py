@@ -197,6 +197,23 @@ def test_what_runs_for_others_does_not_stand_in_for_what_is_preferred(field: Fie
     assert "/ceiling_camera_1" in field.claim(claim.claim_id).nodelets
 
 
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_a_part_that_runs_on_what_is_avoided_is_charged_for_that_once(is_shared: bool) -> None:
+    """Its tags bear the name for which its camera is charged."""
+    field = Field(":memory:", RELAY, "")
+    field.add("robot camera", {"image": ("out", ["Image(robot_camera)"])})
+    field.add("tracker", {"image": ("in", ["Image(?c)"]), "position": ("out", ["Position(?c)"])})
+    if is_shared:
+        field.acquire("Position(robot_camera)")
+        field.settle(2.0)
+    field.acquire("Position(?c)", avoid=("robot_camera",))
+    field.settle(10.0)
+    field.add("unrelated", {"other": ("out", ["Other"])})
+    field.settle(10.0)
+    assert news(field) == []
+    assert field.labels().count("tracker") == 1
+
+
 def test_a_relay_is_not_charged_for_the_stream_that_it_forwards() -> None:
     field = Field(":memory:", RELAY, "")
     field.add("robot camera", {"image": ("out", ["Image(robot_camera)"])})

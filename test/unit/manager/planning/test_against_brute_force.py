@@ -29,14 +29,7 @@ from unit.manager.planning.random_problems import (
     with_wishes,
 )
 
-from dyknow.manager.planning.problem import (
-    NO_VERDICTS,
-    Answer,
-    Demand,
-    NoPlan,
-    Plan,
-    source_name,
-)
+from dyknow.manager.planning.problem import NO_VERDICTS, Answer, Demand, NoPlan, Plan
 from dyknow.manager.specifications.tags import NO_ONTOLOGY, Bindings, parse_tag
 from dyknow.model.transformation import Port, Transformation
 
@@ -70,7 +63,7 @@ def charged(problem: Problem) -> Problem:
     ]
     live = []
     for number, (stream, terms) in enumerate(problem.live):
-        cost = charges.get(source_name(stream), 0)
+        cost = charges.get(stream.label, 0)
         if cost:
             port = Port("out0", "out", stream.datatype, tuple(map(str, terms)))
             library.append(Transformation(f"live{number}", "", cost=cost, ports=(port,)))

@@ -76,7 +76,7 @@ def test_what_runs_is_charged_too() -> None:
     assert "/ceiling_1" in tree_as_dot(tree)
 
 
-def test_a_running_part_is_meant_by_names_that_new_ones_need_not_bear() -> None:
+def test_a_running_part_is_charged_for_what_it_works_on_not_for_its_kind() -> None:
     library = [
         camera("robot", 1, "Raw(robot_camera)"),
         camera("above", 10, "Raw(ceiling_camera)"),
@@ -85,10 +85,36 @@ def test_a_running_part_is_meant_by_names_that_new_ones_need_not_bear() -> None:
     ]
     running = Live("/position", "o0", "/tracker_1", "tracker", "")
     live: Tuple[TaggedStream, ...] = ((running, (parse_tag("Position(robot_camera)"),)),)
+    fed = {"/tracker_1": ("robot",)}
     for wishes in (Wishes((), ("robot_camera",)), Wishes(("ceiling_camera",), ("robot_camera",))):
-        answer = planner_with(library).plan(demand("Position(?x)"), live, wishes=wishes)
+        answer = planner_with(library).plan(
+            demand("Position(?x)"), live, wishes=wishes, feeders=fed
+        )
         assert isinstance(answer, Plan)
         assert (labels(answer), answer.cost) == (["above", "tracker"], 11)
+
+
+def test_a_running_part_costs_no_more_than_a_new_one() -> None:
+    library = [camera("robot", 1, "Raw(robot_camera)"), make("t", ["Raw(?x)"], ["Position(?x)"])]
+    live: Tuple[TaggedStream, ...] = (
+        (Live("/raw", "o0", "/robot_1", "robot", ""), (parse_tag("Raw(robot_camera)"),)),
+        (Live("/position", "o0", "/t_1", "t", ""), (parse_tag("Position(robot_camera)"),)),
+    )
+    wishes, fed = Wishes((), ("robot_camera",)), {"/t_1": ("robot",)}
+    answer = planner_with(library).plan(demand("Position(?x)"), live, wishes=wishes, feeders=fed)
+    assert isinstance(answer, Plan)
+    assert (answer.live, answer.cost) == ((live[1][0],), AVOIDED)
+
+
+def test_each_feeder_is_charged_be_it_new_or_running() -> None:
+    library = [make("raw", [], ["Raw(left)"]), make("pair", ["Raw(left)", "Raw(right)"], ["Pair"])]
+    stream: TaggedStream = (Live("/p", "o0", "/pair_1", "pair", ""), (parse_tag("Pair"),))
+    fed = {"/pair_1": ("raw", "raw")}
+    answer = planner_with(library).plan(
+        demand("Pair"), (stream,), wishes=Wishes((), ("raw",)), feeders=fed
+    )
+    assert isinstance(answer, Plan)
+    assert answer.cost == 2 * AVOIDED
 
 
 def test_what_feeds_a_running_part_is_charged_with_it() -> None:
@@ -98,7 +124,7 @@ def test_what_feeds_a_running_part_is_charged_with_it() -> None:
     )
     planner = planner_with([camera("bottom", 1), camera("top", 3), FILTER])
     wishes = Wishes((), ("bottom",))
-    fed = {"/filter_1": frozenset(("bottom",))}
+    fed = {"/filter_1": ("bottom",)}
     answer = planner.plan(GOAL, (stream,), wishes=wishes, feeders=fed)
     assert isinstance(answer, Plan)
     assert labels(answer) == ["top", "filter"]
