@@ -571,14 +571,27 @@ class ClaimPlanner:
         if isinstance(answer, NoPlan) or not situation.own:
             return answer
         used = self._used_as_they_are(answer)
-        if used.isdisjoint(assigned(answer, situation.own, self._ontology).values()):
+        moved = used & {*assigned(answer, situation.own, self._ontology).values()}
+        if not moved:
             return answer
         # The planner has connected a nodelet elsewhere whose stream it uses as well.
         own = tuple(each for each in situation.own if each.name not in used)
         second = self._searched(situation._replace(own=own))
+        if isinstance(second, NoPlan) or second.cost > answer.cost:
+            usable = tuple(each for each in situation.usable if not self._has(moved, each[0]))
+            third = self._searched(situation._replace(usable=usable))
+            if isinstance(second, NoPlan) or (
+                isinstance(third, Plan) and third.cost < second.cost
+            ):
+                second = third
         if isinstance(second, NoPlan):
             return second
         return replace(second, least_cost=min(second.least_cost, answer.least_cost))
+
+    def _has(self, nodelets: AbstractSet[str], stream: Live) -> bool:
+        """Whether one of these nodelets publishes a stream, or feeds the one that does."""
+        names = [stream.nodelet] if stream.nodelet else []
+        return not nodelets.isdisjoint(self._world().upstream(names, self.ordinary)[0])
 
     @contextlib.contextmanager
     def _planning(self, known: Transformations) -> Iterator[tuple[Planner, bool]]:

@@ -273,6 +273,31 @@ def test_it_is_used_for_one_thing_beside_something_else(robot: Robot) -> None:
     robot.settle()
 
 
+@pytest.mark.parametrize("is_node", [True, False])
+def test_it_is_used_elsewhere_if_that_is_the_only_or_the_cheapest_plan(
+    robot: Robot, is_node: bool
+) -> None:
+    """It smooths the left image already, which can be had without it; the right one cannot."""
+    robot.manager.add_transformation(STEREO)
+    if is_node:
+        robot.spawn("left", "/left", config={"image": "/seen"})
+        robot.run("/smooth", "robot/smooth", {"in": "/seen", "out": "/smoothed"})
+    else:  # a nodelet that lingers, beside which there may be others
+        robot.manager.remove_transformation("smooth")
+        robot.manager.add_transformation(
+            SMOOTH.replace("x<", "robot/smooth<").replace('"1"', '"10"')
+        )
+        robot.reconciler.release(robot.acquire("Smooth(left)").claim.claim_id)
+    robot.manager.add_transformation(
+        transformation("own left", "soccer/Camera", "out image", "image Smooth(left)", 7)
+    )
+    got = robot.acquire("Depth(field)")
+    assert got.cost == 9
+    assert any("smooth" in name for name in got.reused)
+    robot.settle()
+    robot.check_flows(got.claim)
+
+
 def test_it_stays_on_its_topic_and_a_relay_brings_it_to_the_client(robot: Robot) -> None:
     robot.manager.add_transformation(CAMERA)
     claim = robot.flowing("YUV(field)")
