@@ -36,6 +36,9 @@ class Things:
     def canonical(self, name: str) -> str:
         return name
 
+    def written(self, name: str) -> str:
+        return name
+
 
 class PlanningLibrary:
     """A library, and demands of several sorts: ``ground``, ``variable`` or ``class``."""

@@ -88,10 +88,7 @@ class Names:
 
     def written(self, name: str) -> str:
         """Return a canonical name as people write it: a label rather than a URI."""
-        if self.is_plain:
-            return name
-        same = [each for each in self.ontology.names_above(name) if self.canonical(each) == name]
-        return min([*same, name], key=lambda each: ("://" in each or ":" in each, each))
+        return self.ontology.written(name)
 
     def above(self, name: str) -> Types:
         """Return the canonical names that subsume a canonical name."""

@@ -92,6 +92,9 @@ class Subsumption(Protocol):
     def canonical(self, name: str) -> str:
         """One name for all names of an entity."""
 
+    def written(self, name: str) -> str:
+        """The name of an entity for people, of which this is the canonical one."""
+
 
 class NoOntology:
     """Without an ontology a name subsumes only itself."""
@@ -100,6 +103,9 @@ class NoOntology:
         return frozenset((name,))
 
     def canonical(self, name: str) -> str:
+        return name
+
+    def written(self, name: str) -> str:
         return name
 
 

@@ -11,6 +11,7 @@ from typing import Any, Callable, List, Tuple
 
 import pytest
 from clocks import patch_here
+from unit.manager.planning.examples import demand, make, planner_with
 
 from dyknow.errors import (
     IndividualsError,
@@ -140,6 +141,7 @@ def test_the_term_is_the_label_in_the_preferred_language(
     found = ontology(text, language=language)
 
     assert found.individuals(BASE + "C") == (term,)
+    assert found.written(f"{BASE}x") == term
     for label in labels.split('"')[1::2]:
         assert found.canonical(label) == f"{BASE}x"
         assert "Class" in found.names_above(label)
@@ -164,6 +166,17 @@ def test_all_names_of_an_individual_have_the_same_canonical_one(ontology: Load) 
     assert found.canonical("blank") == "blank"
     assert found.names_above("blank") == {"blank", "Cam", BASE + "C"}
     assert found.individuals(BASE + "C") == ("blank", "one", "y")
+
+
+def test_plans_write_names_in_the_preferred_language(ontology: Load) -> None:
+    found = ontology(
+        ':Camera a owl:Class ; rdfs:label "Kamera"@de, "camera"@en . :Lidar a owl:Class .'
+        ':l a :Camera ; rdfs:label "left camera"@en, "Kamera links"@de .'
+    )
+    planner = planner_with([make("l", [], ["Image(Kamera links)"])], found)
+    assert planner.bindings(demand("Image(?c)")) == ([(("?c", "left camera"),)], True)
+    why = "left camera is a camera, not a Lidar"
+    assert why in str(planner.plan(demand("Image(?c: Lidar)")))
 
 
 def test_equivalent_classes_are_two_that_may_have_the_same_label(ontology: Load) -> None:
@@ -246,6 +259,8 @@ def test_a_class_and_an_individual_may_share_a_name_and_that_is_told(ontology: L
     assert "Toy" in found.names_above("ball")
     assert "Thing" not in found.names_above(BASE + "b")
     assert "Toy" not in found.names_above(BASE + "Ball")
+    assert found.written(BASE + "b") == "ball"
+    assert found.written(BASE + "Ball") == BASE + "Ball", "'ball' would be the individual"
     assert messages(found) == [f"'ball' names the class <{BASE}Ball> and the individual <{BASE}b>"]
 
 

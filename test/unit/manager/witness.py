@@ -36,6 +36,9 @@ class Concepts:
     def canonical(self, name: str) -> str:
         return name
 
+    def written(self, name: str) -> str:
+        return name
+
     def is_class(self, name: str) -> bool:
         return name in self._above.values()
 

@@ -128,6 +128,19 @@ class Ontology:
         found = self._individuals.get(name) or self._classes.get(name)
         return name if found is None or is_blank(found) else found
 
+    def written(self, name: str) -> str:
+        """Return the name for people of which this is the canonical one, as `Labels` prefers it.
+
+        It stands for the same: an individual takes a name from a class. Without another name it
+        is the URI.
+        """
+        for naming in (self._individuals, self._classes):
+            entity = naming.get(name)
+            if entity is not None:
+                same = [each for each in naming.names(entity) if self.canonical(each) == name]
+                return min(same, key=lambda each: each == entity, default=name)
+        return name
+
     def names_above(self, name: str) -> frozenset[str]:
         """Return a name, its synonyms, and the names of the classes above it."""
         known = self._above.get(name)

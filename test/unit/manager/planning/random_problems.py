@@ -47,6 +47,9 @@ class Kinds:
     def canonical(self, name: str) -> str:
         return "urn:a" if name == "a" else name
 
+    def written(self, name: str) -> str:
+        return "a" if name == "urn:a" else name
+
 
 class _Writer:
     """Writes problems; every other one is rich in bindings.
