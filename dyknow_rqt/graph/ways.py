@@ -147,11 +147,10 @@ class _Running:
 
 
 def _part_of(entry: Entry) -> WayPart:
-    what, is_bound, bindings = entry.what.partition(" [?")
+    what, bindings = entry.parts
     how, *costs = (word for word in entry.how.split(", ") if word)
     cost = " + ".join(word.partition(" ")[2] for word in costs if word[:4] in ("cost", "char"))
     rest = [word for word in costs if word[:4] not in ("cost", "char")]
-    bindings = f"?{bindings[:-1]}" if is_bound else ""
     return WayPart(entry.depth + 1, entry.port, what, ", ".join([how, *rest]), cost, bindings)
 
 

@@ -25,7 +25,6 @@ from dyknow.manager.planning.problem import Answer, Instance, Live, NoPlan, Plan
 from dyknow.manager.specifications.tags import written_bindings
 
 _LINE = re.compile(r"(?P<lead>[ │├└]*─ )(?:(?P<port>\S+) ← )?(?P<what>.*) \((?P<how>[^()]*)\)\Z")
-_BOUND = re.compile(r"(.*)( \[\?[^\[\]=]*=[^\[\]]*\])\Z")
 _INDENT = 3
 _ABOVE = "shared, see above"
 _TOPIC = "topic"
@@ -41,6 +40,12 @@ class Entry(NamedTuple):
     port: str
     what: str
     how: str
+
+    @property
+    def parts(self) -> tuple[str, str]:
+        """What it is, and its bindings, as in ``?camera=left``; empty for none."""
+        what, mark, bindings = self.what.partition(" [?")
+        return what, f"?{bindings[:-1]}" if mark else ""
 
 
 def as_tree(answer: Answer) -> str:
@@ -108,13 +113,17 @@ def tree_as_dot(text: str) -> str:
     edges: list[str] = []
     path: list[str] = []
     for entry in entries:
-        is_topic = entry.how.split(", ")[0] == _TOPIC
-        name, out = (entry.what, "") if is_topic else _nodelet_and_port(entry.what)
+        how, (what, bindings) = entry.how.split(", ")[0], entry.parts
+        is_topic = how == _TOPIC
+        name, _, out = (what, "", "") if is_topic else what.rpartition(".")
+        label = f"{name} [{bindings}]" if bindings else name
+        name = how if how.startswith("runs as ") else label
         if entry.how != _ABOVE:
             shape = "box" if is_topic else "ellipse"
-            style = "dashed" if entry.how.startswith("new") else "solid"
-            label = name if is_topic else f"{name}\n{entry.how}"
-            nodes[name] = f"  {quote(name)} [shape={shape}, style={style}, label={quote(label)}];"
+            style = "dashed" if how == "new" else "solid"
+            label = label if is_topic else f"{label}\n{entry.how}"
+            node = f"  {quote(name)} [shape={shape}, style={style}, label={quote(label)}];"
+            nodes.setdefault(name, node)  # the charge stands at its first place alone
         del path[entry.depth :]
         consumer = path[-1] if path else title
         arrow = f"  {quote(name)} -> {quote(consumer)}"
@@ -132,14 +141,6 @@ def _how_good(plan: Plan) -> str:
     excess = -(-100 * (plan.cost - plan.least_cost) // plan.least_cost) if plan.least_cost else 0
     known = f"at most {excess} % above the least possible" if excess else "perhaps not the least"
     return f"{known}; its time was over" if plan.is_cut_short else known
-
-
-def _nodelet_and_port(what: str) -> tuple[str, str]:
-    """Take ``label.port [bindings]`` apart."""
-    found = _BOUND.match(what)
-    what, bindings = found.groups() if found else (what, "")
-    name, _, port = what.rpartition(".")
-    return name + bindings, port
 
 
 def _charged(charge: int) -> str:

@@ -121,6 +121,28 @@ def test_instances_of_one_transformation_are_told_apart() -> None:
     assert 'taillabel="depth", headlabel=""' in drawing
 
 
+def test_running_nodelets_of_one_transformation_are_told_apart() -> None:
+    left, right = [Live(f"/{at}", "rect", f"/rect_{at}", "rect", "") for at in (1, 2)]
+    inputs = (("left", left), ("again", left), ("right", right))
+    stereo = PlanStep(Instance("stereo"), inputs, 1)
+    answer = Plan(demand("X"), New(stereo.instance, "depth"), (stereo,), charges=(("/rect_1", 9),))
+    drawing = tree_as_dot(as_tree(answer))
+    for at, port in ((1, "left"), (1, "again"), (2, "right")):
+        arrow = f'"runs as /rect_{at}" -> "stereo" [taillabel="rect", headlabel="{port}"];'
+        assert arrow in drawing
+    assert 'label="rect\\nruns as /rect_1, charged 9"' in drawing
+    assert 'label="rect\\nruns as /rect_2"' in drawing
+
+
+def test_names_may_have_brackets_and_dots() -> None:
+    steps = [f"─ i ← rect.out [?c={name}] (new, cost 1)" for name in ("cam[1]", "cam[2]", "v1.5")]
+    drawing = tree_as_dot(
+        "\n".join(["X", "└─ all.out (new, cost 1)", *[f"   ├{e}" for e in steps]])
+    )
+    for name in ("cam[1]", "cam[2]", "v1.5"):
+        assert f'"rect [?c={name}]" -> "all" [taillabel="out", headlabel="i"];' in drawing
+
+
 @pytest.mark.parametrize(
     ("least", "is_cut_short", "title"),
     [
