@@ -35,6 +35,7 @@ class _Open(NamedTuple):
     known: Known  # constraints on its names
     demand: Demand  # it, as people write it
     rest: tuple[str, ...] = ()  # what cannot be written so, as sentences
+    why: tuple[str, ...] = ()  # the causes, if they are known
 
 
 def no_plan(search: Search) -> NoPlan:
@@ -45,7 +46,7 @@ def no_plan(search: Search) -> NoPlan:
     missing: set[Demand] = set()
     obstacles: set[Obstacle] = set()
     for each in _leaves(search):
-        causes = each.rest + _causes(request, each)
+        causes = each.rest + (each.why or _causes(request, each))
         if causes:
             obstacles.add(Obstacle(each.demand, causes))
         else:
@@ -87,6 +88,9 @@ def _leaves(search: Search) -> Iterator[_Open]:
                     offer.places is None and _lacking(request.names, each, offer.head) is None
                 )
                 is_leaf = is_leaf and (is_other or action.base in request.scarce) and not unmet
+                if action.requires and not (is_other or unmet):  # all else that it needs is there
+                    why = f"a verdict that {action.label} requires is not TRUE"
+                    yield each._replace(why=(why,))
                 for below in unmet:
                     if below[:2] not in seen:
                         seen.add(below[:2])
@@ -200,7 +204,7 @@ def _alike(request: Request, demand: _Open) -> list[_Alike]:
             _TYPE: bool(lacking),
             _EXCLUDED: is_excluded,
             _PAUSED: not is_excluded and is_new and label in request.paused,
-            _VERDICT: not head.action.inputs and request.is_barred(head.action, ()),
+            _VERDICT: not head.action.variables and request.is_barred(head.action, ()),
             _DATATYPE: not head.has_type(pattern),
             _RATE: pattern.slow is not None and 0 < head.port.rate < request.demand.min_rate,
         }

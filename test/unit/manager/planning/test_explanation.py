@@ -22,10 +22,10 @@ from unit.manager.planning.random_problems import look_up_by_name, random_proble
 from unit.manager.witness import Concepts
 
 from dyknow.manager.planning.explanation import Entry, as_tree, read_tree, tree_as_dot
-from dyknow.manager.planning.problem import Instance, Live, New, NoPlan, Plan, PlanStep
+from dyknow.manager.planning.problem import Instance, Live, New, NoPlan, Plan, PlanStep, Verdicts
 from dyknow.manager.specifications.tags import parse_tag
 from dyknow.model.streams import StreamRequest
-from dyknow.model.transformation import Transformation
+from dyknow.model.transformation import Requirement, Transformation
 
 
 @pytest.fixture
@@ -272,6 +272,24 @@ def test_what_must_not_be_used_is_named() -> None:
     live = [(stream, (parse_tag("Image(nose)"),))]
     excluded = refused("Image(nose)", live=live, exclude=frozenset(("camera",)))
     assert excluded == "Image(nose) cannot be used: camera is excluded"
+
+
+def test_a_verdict_that_is_not_true_is_named() -> None:
+    def requiring(made: Transformation, tag: str) -> Transformation:
+        return made._replace(requires=(Requirement(tag, False),))
+
+    why = "cannot be used: a verdict that detector requires is not TRUE"
+    detector = requiring(make("detector", ["Image(nose)"], ["Ball"]), "Bright")
+    assert refused("Ball", detector) == f"Ball {why}"
+    camera, microphone = make("camera", [], ["Image(nose)"]), make("ear", [], ["Sound(ear)"])
+    detector = requiring(make("detector", ["Image(?c)"], ["Seen(?c)"]), "Bright(?c)")
+    tracker = make("tracker", ["Seen(?c)", "Sound(?c)"], ["Position"])
+    assert refused("Seen(nose)", camera, detector) == f"Seen(nose) {why}"
+    assert refused("Position", camera, microphone, detector, tracker) == f"Seen(?c) {why}"
+    assert refused("Seen(nose)", detector) == "nothing supplies Image(nose)"
+    verdicts = Verdicts(frozenset([parse_tag("Bright(nose)")]))
+    answer = refused("Position", camera, microphone, detector, tracker, verdicts=verdicts)
+    assert answer == "nothing supplies Sound(nose)"
 
 
 def test_a_rate_and_a_ros_type_are_named() -> None:
