@@ -45,7 +45,8 @@ class ActivePanel(Panel):
         column_in(self.page, self.table.filter, self.table, row)
         self.table.picked.connect(selection.choose_nodelets)
         self.table.customContextMenuRequested.connect(self._want_menu)
-        selection.changed.connect(self._follow_selection)
+        for signal in (selection.changed, self.table.filter.textChanged):
+            signal.connect(self._follow_selection)
         monitor.changed.connect(self._show)
         self.table.on_delete(self._destroy_chosen)
         self._follow_selection()
@@ -117,7 +118,8 @@ class LibraryPanel(Panel):
         buttons = row_of(self.import_, self.export, self.delete, self.create)
         column_in(self.page, self.table.filter, parts, buttons).setStretch(1, 1)
         monitor.library_changed.connect(self._show)
-        self.table.selectionModel().selectionChanged.connect(self._follow_selection)
+        for signal in (self.table.picked, self.table.filter.textChanged):
+            signal.connect(self._follow_selection)
         self.table.on_delete(self._ask_to_delete)
         self.table.activated.connect(self._want_create)
         self._follow_selection()

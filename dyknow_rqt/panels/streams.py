@@ -303,8 +303,8 @@ class StreamsPanel(Panel):
     # Inside
 
     def _chosen(self) -> list[StreamStatus]:
-        """The selected streams that have not ended."""
-        found = map(self._monitor.stream, sorted(self._selection.claims))
+        """The streams in selected rows that have not ended."""
+        found = map(self._monitor.stream, self.table.chosen())
         return [stream for stream in found if stream is not None and not stream.state.ended]
 
     def _listen(self) -> None:
@@ -320,7 +320,8 @@ class StreamsPanel(Panel):
         self.tag.textEdited.connect(
             lambda text: self._offered.setStringList(tag_completions(text, self._tags))
         )
-        self._selection.changed.connect(self._follow)
+        for signal in (self._selection.changed, self.table.filter.textChanged):
+            signal.connect(self._follow)
         self.table.on_delete(self._release)
         self._monitor.streams_changed.connect(self._show_streams)
         self._monitor.stream_event.connect(self._show_event)

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Iterable, Sequence, Tuple
+import contextlib
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 
 from python_qt_binding.QtCore import (
     QAbstractTableModel,
@@ -75,9 +76,9 @@ Row = Tuple[Tuple[str, ...], str]
 class _Rows(QAbstractTableModel):
     """Sorts and filters its rows itself: a proxy model would call Python for each comparison."""
 
-    def __init__(self, titles: Sequence[str], parent: QWidget) -> None:
-        super().__init__(parent)
-        self._titles = titles
+    def __init__(self, titles: Sequence[str], table: KeyedTable) -> None:
+        super().__init__(table)
+        self._titles, self._table = titles, table
         self.all: list[Row] = []
         self.shown: list[Row] = []
         self.places: dict[str, int] = {}
@@ -128,10 +129,11 @@ class _Rows(QAbstractTableModel):
         return None
 
     def _arrange(self) -> None:
-        self.beginResetModel()
-        self.shown = self._arranged()
-        self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
-        self.endResetModel()
+        with self._table.selection_kept():
+            self.beginResetModel()
+            self.shown = self._arranged()
+            self.places = {row[0][0]: place for place, row in enumerate(self.shown)}
+            self.endResetModel()
 
     def _arranged(self) -> list[Row]:
         def key(row: Row) -> tuple[bool, int | str, str]:
@@ -167,7 +169,7 @@ class KeyedTable(QTableView):
         what = f"{name[0].lower()}{name[1:]}"
         self.filter = field_of(f"filter {what}", name=f"Filter of {what}")
         self.filter.setClearButtonEnabled(True)
-        self.filter.textChanged.connect(self._filter_rows)
+        self.filter.textChanged.connect(self._rows.set_filter)
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
         header = self.horizontalHeader()
@@ -197,14 +199,20 @@ class KeyedTable(QTableView):
         """Replace the rows; selection and scroll position stay."""
         if list(rows) == self._rows.all:
             return
-        chosen, top = self.chosen(), self.verticalScrollBar().value()
-        current = self._name(self.currentIndex().row()) if self.currentIndex().isValid() else None
-        with QSignalBlocker(self):
-            self._rows.replace(rows)
-            if rows:
-                self._widen()
-            self.choose(chosen, current)
+        top = self.verticalScrollBar().value()
+        self._rows.replace(rows)
+        if rows:
+            self._widen()
         self.verticalScrollBar().setValue(top)
+
+    @contextlib.contextmanager
+    def selection_kept(self) -> Iterator[None]:
+        """Select the same keys after a change of the rows, as far as they are shown then."""
+        chosen, index = self.chosen(), self.currentIndex()
+        current = self._name(index.row()) if index.isValid() else None
+        with QSignalBlocker(self):
+            yield
+            self.choose(chosen, current)
 
     def _widen(self) -> None:
         """Make room for the first columns, except those that a hand has made wider or narrower."""
@@ -251,12 +259,6 @@ class KeyedTable(QTableView):
         """Tell which rows are selected."""
         super().selectionChanged(now, before)
         self.picked.emit(self.chosen())
-
-    def _filter_rows(self, text: str) -> None:
-        chosen = self.chosen()
-        with QSignalBlocker(self):
-            self._rows.set_filter(text)
-            self.choose(chosen)
 
     def _name(self, row: int) -> str:
         return self._rows.shown[row][0][0]

@@ -22,6 +22,7 @@ from unit.rqt.hands import (
 )
 
 from dyknow.model.graph import OUTDATED, PortRef
+from dyknow.model.streams import StreamRequest
 from dyknow_rqt.graph.ways import read_way
 from dyknow_rqt.panels.tables import KeyedTable, WayTree
 
@@ -68,6 +69,60 @@ def test_a_table_with_a_selected_row_that_is_filtered_out_stays_where_it_is(qtbo
     place = table.verticalScrollBar().value()
     table.follow(["row 000", "last"])
     assert table.chosen() == ["row 000"] and table.verticalScrollBar().value() == place > 0
+
+
+def _sort(qtbot, table, column):
+    header = table.horizontalHeader()
+    place = header.sectionViewportPosition(column) + header.sectionSize(column) // 2
+    header = header.viewport()
+    qtbot.mouseClick(header, Qt.LeftButton, pos=QPoint(place, header.height() // 2))
+
+
+def test_buttons_act_on_the_selected_rows_of_a_sorted_or_filtered_table(
+    qtbot, window, remote, tmp_path, monkeypatch
+):
+    path = tmp_path / "out.xml"
+    chosen = str(path), ""
+    monkeypatch.setattr("dyknow_rqt.panels.lists.QFileDialog.getSaveFileName", lambda *_: chosen)
+    panel = show(window, window.library)
+    panel.table.choose(["recorder", "tracker"], "tracker")
+    _sort(qtbot, panel.table, 1)
+    assert sorted(panel.table.chosen()) == ["recorder", "tracker"]
+    row = panel.table.currentIndex().row()
+    assert panel.table.names()[row] == "tracker"
+    click(qtbot, panel.export)
+    assert all(f"<label>{label}</label>" in path.read_text() for label in ("recorder", "tracker"))
+    qtbot.keyClicks(panel.table.filter, "track")
+    assert panel.table.chosen() == ["tracker"]
+    assert "recorder" not in panel.specification.toPlainText()
+    panel.table.filter.setText("camera")
+    assert not (panel.export.isEnabled() or panel.delete.isEnabled() or panel.create.isEnabled())
+    assert panel.specification.toPlainText() == ""
+
+    panel, name = show(window, window.active), "/nao1/subsampler"
+    panel.table.choose([name])
+    _sort(qtbot, panel.table, 1)
+    assert panel.table.chosen() == window.selection.nodelets == [name]
+    panel.table.filter.setText("camera")
+    assert panel.table.chosen() == [] and window.selection.nodelets == [name]
+    panel.table.filter.clear()
+    assert panel.table.chosen() == [name]
+
+
+def test_streams_that_are_filtered_out_are_not_released(qtbot, window, remote):
+    tags = ("Track(ball)", "FieldPosition(ball)")
+    claims = {tag: remote.client.acquire_stream(StreamRequest(tag)).claim_id for tag in tags}
+    panel = show(window, window.streams)
+    until(qtbot, lambda: len(panel.table.names()) == 2)
+    panel.table.choose([claims["Track(ball)"]])
+    _sort(qtbot, panel.table, 1)
+    assert panel.table.chosen() == [claims["Track(ball)"]] and panel.release.isEnabled()
+    panel.table.filter.setText("FieldPosition")
+    assert not (panel.release.isEnabled() or panel.replan.isEnabled())
+    qtbot.keyClick(panel.table, Qt.Key_Delete)
+    assert not window.monitor.is_changing
+    panel.table.filter.clear()
+    assert panel.table.chosen() == [claims["Track(ball)"]] and panel.release.isEnabled()
 
 
 def test_a_tree_of_other_ways_picks_nothing(qtbot):
