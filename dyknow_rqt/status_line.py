@@ -107,8 +107,9 @@ class StatusLine(QWidget):
 
     def report(self, text: str) -> None:
         """Show an error: its first line in the window, all of it in the tool tip."""
-        self._show(text, alarm=True)
+        self._show(text)
         self.dismiss.show()
+        self._colour()
         self.decline.setEnabled(True)
 
     def withdraw(self, text: str) -> None:
@@ -118,11 +119,11 @@ class StatusLine(QWidget):
 
     def begin(self, text: str) -> None:
         if self._answer is None:
-            self._show(text, alarm=False)
+            self._show(text)
 
     def note(self, text: str) -> None:
         if self._answer is None:
-            self._show(text, alarm=False)
+            self._show(text)
             self._timer.start()
 
     def show_status(self, status: Status) -> None:
@@ -136,7 +137,7 @@ class StatusLine(QWidget):
 
     def ask(self, question: str, yes: str, answer: Callable[[], None]) -> None:
         """Ask something; ``answer`` is called if the user agrees."""
-        self._show(question, alarm=False)
+        self._show(question)
         self._answer, self._asked_in = answer, QApplication.focusWidget()
         self.decline.setEnabled(True)
         self.yes.setText(yes)
@@ -148,6 +149,7 @@ class StatusLine(QWidget):
         super().changeEvent(event)
         if event.type() == QEvent.PaletteChange and self._status is not None:
             self.show_status(self._status)
+            self._colour()
 
     def clear(self) -> None:
         """Empty the line; the focus returns to where it was before a question."""
@@ -162,6 +164,7 @@ class StatusLine(QWidget):
         self.decline.setEnabled(False)
         for button in (self.yes, self.no, self.dismiss):
             button.hide()
+        self._colour()
 
     def _confirm(self) -> None:
         answer = self._answer
@@ -169,16 +172,19 @@ class StatusLine(QWidget):
         if answer is not None:
             answer()
 
-    def _show(self, text: str, alarm: bool) -> None:
+    def _show(self, text: str) -> None:
         self.clear()
         lines = text.strip().split("\n")
         more = f"  (and {len(lines) - 1} more lines: rest the pointer here)" if lines[1:] else ""
         self._text.setText(lines[0] + more)
         self._full = text
         self._text.setToolTip(wrapped(text))
+
+    def _colour(self) -> None:
+        """Write errors, which alone are dismissed, in their colour."""
         palette = QPalette(self.palette())
-        if alarm:
-            palette.setColor(QPalette.WindowText, colours_of(self.palette()).alarm)
+        if not self.dismiss.isHidden():
+            palette.setColor(QPalette.WindowText, colours_of(palette).alarm)
         self._text.setPalette(palette)
 
 

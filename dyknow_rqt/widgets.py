@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 from typing import Iterable
 
-from python_qt_binding.QtCore import QStringListModel, Qt, Signal
+from python_qt_binding.QtCore import QEvent, QStringListModel, Qt, Signal
 from python_qt_binding.QtGui import QFont, QPalette
 from python_qt_binding.QtWidgets import (
     QCompleter,
@@ -111,11 +111,9 @@ class FilterEdit(QLineEdit):
         self._model.setStringList(completions(text, self._names))
 
     def _read(self, text: str) -> None:
-        palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
         try:
             self.filter = parse(text)
         except BadFilter as error:
-            palette.setColor(QPalette.Text, colours_of(palette).alarm)
             self._complaint = str(error)
             self.refused.emit(self._complaint)
         else:
@@ -123,6 +121,17 @@ class FilterEdit(QLineEdit):
             if complaint:
                 self.mended.emit(complaint)
             self.filter_changed.emit()
+        self._colour()
+
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802
+        super().changeEvent(event)
+        if event.type() == QEvent.PaletteChange:
+            self._colour()
+
+    def _colour(self) -> None:
+        palette = QPalette(self.parentWidget().palette()) if self.parentWidget() else QPalette()
+        if self._complaint:
+            palette.setColor(QPalette.Text, colours_of(palette).alarm)
         self.setPalette(palette)
 
 

@@ -366,6 +366,20 @@ def test_warnings_are_readable_in_the_light_and_in_the_dark(qtbot, window, remot
             assert contrast(text, ground) >= 4.5, (text.name(), ground.name())
 
 
+def test_errors_are_in_the_colour_of_the_theme(window):
+    line, edit = window.line, window.graph.bar.nodelets
+    edit.setText("(")
+    for palette in (dark_palette(), QPalette()):
+        window.setPalette(palette)
+        for widget, role in ((line._text, QPalette.WindowText), (edit, QPalette.Text)):
+            assert widget.palette().color(role) == colours_of(palette).alarm
+    edit.clear()
+    window.setPalette(dark_palette())
+    line.note("mended")
+    for widget, role in ((line._text, QPalette.WindowText), (edit, QPalette.Text)):
+        assert widget.palette().color(role) == window.palette().color(role)
+
+
 def test_the_worst_comes_first_and_each_once(remote):
     streams = [
         StreamStatus(state.name, "test", "Tag(a)", "", "", state, "", (), 0.0)
