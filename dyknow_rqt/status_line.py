@@ -165,6 +165,7 @@ class StatusLine(QWidget):
         for button in (self.yes, self.no, self.dismiss):
             button.hide()
         self._colour()
+        self.contact.show()
 
     def _confirm(self) -> None:
         answer = self._answer
@@ -179,6 +180,7 @@ class StatusLine(QWidget):
         self._text.setText(lines[0] + more)
         self._full = text
         self._text.setToolTip(wrapped(text))
+        self.contact.hide()
 
     def _colour(self) -> None:
         """Write errors, which alone are dismissed, in their colour."""

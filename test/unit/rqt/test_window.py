@@ -165,6 +165,20 @@ def test_settings_are_kept(qtbot, window, remote):
     assert other.state()["mode"] == "0" and other.tabs.currentIndex() == 2
 
 
+def test_an_error_in_a_narrow_window_can_be_read(qtbot, window):
+    line = window.line
+    until(qtbot, lambda: window.health.text().count("<a ") == 3)
+    window.resize(600, 450)
+    line.report(
+        "'/nao1/line_detector:hsv' expects sensor_msgs/Image, but "
+        "'/field/ceiling_camera:field_position' has geometry_msgs/PointStamped"
+    )
+    until(qtbot, lambda: line.height() < 450 / 4 and line._text.width() > 600 / 3)
+    assert not line.contact.isVisible()
+    click(qtbot, line.dismiss)
+    assert line.contact.isVisible()
+
+
 @pytest.mark.parametrize("is_shown", [False, True])
 def test_a_hidden_control_panel_comes_back_after_a_restart(qtbot, window, remote, is_shown):
     click(qtbot, window.graph.bar.panel)
