@@ -9,6 +9,7 @@ thread of the window only; everything that may block is called in the background
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from dataclasses import replace
@@ -92,7 +93,9 @@ class GraphMonitor(QObject):
         for signal in (self.stream_event, self.settled):
             signal.connect(self.heart.list_streams)
         self.history = UndoHistory()
-        #: Nodelets and their transformations; whether the next model may be another manager's.
+        #: The address of the manager, the one of whose nodelets these are, with transformations;
+        #: whether the next model may be another manager's.
+        self._address = self._maker = ""
         self._made: set[tuple[str, str]] = set()
         self._is_another = False
         #: How often the manager, or another one, has begun to answer.
@@ -333,7 +336,11 @@ class GraphMonitor(QObject):
 
     def _looked(self, read: Callable[[], Model]) -> _Look:
         """Read everything for a look; in the background."""
-        link, model = self._link, read()
+        link = self._link
+        if self._is_another:
+            with contextlib.suppress(DyKnowError):  # without a master it is the same one
+                self._address = self.remote.find_manager()
+        model = read()
         model = replace(model, nodelets=self.snapshot.shared(model.nodelets))
         topics = {port.topic for each in model.nodelets for port in each.ports if port.topic}
         hosts = {each.node for each in model.nodelets}
@@ -392,10 +399,10 @@ class GraphMonitor(QObject):
         self._revision = model.revision
         made = {(each.name, each.transformation) for each in model.nodelets}
         if not (self._is_another and self._changing):  # else the change may make the difference
-            if self._is_another and made != self._made:
+            if self._is_another and self._address != self._maker and made != self._made:
                 self.history = UndoHistory()
                 self._tell_history()
-            self._made, self._is_another = made, False
+            self._made, self._maker, self._is_another = made, self._address, False
         if model.transformations:
             self._take_library(model, self._link)
         self._take_snapshot(Snapshot(model.nodelets, nodes, taken, self.snapshot.pending))

@@ -259,6 +259,32 @@ def test_a_link_that_is_renewed_during_a_change_leaves_all_that_can_be_undone(
     assert not monitor._is_another and len(monitor.history._done) == 2
 
 
+def test_what_others_change_while_the_manager_is_silent_leaves_all_that_can_be_undone(
+    qtbot, window, remote, monkeypatch
+):
+    monitor, graph, is_made = window.monitor, remote.graph, threading.Event()
+    create(qtbot, window, "/first")
+    monkeypatch.setattr(remote, "graph", lambda: wait_for(is_made) or graph())
+    monitor._follow_link(True)
+    remote.client.spawn("tracker", "/second")
+    is_made.set()
+    until(qtbot, lambda: is_ready(window) and monitor.snapshot.nodelet("/second") is not None)
+    undo(qtbot, window)
+    until(qtbot, lambda: monitor.snapshot.nodelet("/first") is None)
+
+
+def test_another_manager_is_known_before_the_next_beat(qtbot, window, remote, monkeypatch):
+    monitor, other = window.monitor, soccer()
+    create(qtbot, window, "/first")
+    monitor.heart._timer.stop()
+    until(qtbot, lambda: not monitor.heart._calls.is_calling)
+    remote.client.core, remote.client.host = other.client.core, other.client.host
+    remote.address = "rosrpc://localhost:40002"
+    monitor._follow_link(True)
+    until(qtbot, lambda: is_ready(window))
+    assert monitor.history.texts == ("", "")
+
+
 def test_models_that_waited_for_a_new_link_take_nothing_back(qtbot, window, remote):
     monitor, before = window.monitor, remote.client.get_model()
     create(qtbot, window, "/first")
