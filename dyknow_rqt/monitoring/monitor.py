@@ -270,6 +270,7 @@ class GraphMonitor(QObject):
                 self._waiting.popleft()()
             except DyKnowError as error:  # that holds up nothing
                 self.failed.emit(str(error))
+                self.settled.emit()
 
     def _present(self) -> Present:
         return Present(self._client, self.snapshot, dict(self.library))

@@ -125,6 +125,8 @@ class CreatePanel(Panel):
         self.ports = QLabel(textFormat=Qt.PlainText, wordWrap=True)
         self.given = GivenFields()
         self.create = QPushButton("Create", clicked=self._create)
+        #: The name of a nodelet that is being made.
+        self._made = ""
         form = form_in()
         form.addRow("&Transformation:", self.label)
         form.addRow("Na&me:", self.name)
@@ -164,9 +166,9 @@ class CreatePanel(Panel):
             manager="" if manager == _ANY or self.isolated.isChecked() else manager,
             parameters=self.given.given(),
         )
-        self.create.setEnabled(False)
-        self.create.setText("Creating …")
+        self._made = text
         self._monitor.do(spawn(request), lambda: self._clear(text))
+        self._follow()
 
     def _clear(self, name: str) -> None:
         """Clear the name of a nodelet that was made, unless the user has typed another one."""
@@ -176,8 +178,10 @@ class CreatePanel(Panel):
     def _follow(self) -> None:
         library = self._monitor.library
         transformation = library.get(self.label.currentText().strip())
-        self.create.setText("Create")
-        self.create.setEnabled(transformation is not None and bool(self.name.text().strip()))
+        name, self._made = self.name.text(), self._made if self._monitor.is_changing else ""
+        is_made = bool(self._made) and name == self._made
+        self.create.setText("Creating …" if is_made else "Create")
+        self.create.setEnabled(transformation is not None and bool(name.strip()) and not is_made)
         self.manager.setEnabled(not self.isolated.isChecked())
         self.given.show_transformation(transformation)
         lines = []

@@ -140,13 +140,16 @@ class StreamsPanel(Panel):
 
         def act(way: Way) -> None:
             self._awaited = request.tag, frozenset(each.claim_id for each in self._monitor.streams)
+            self._monitor.settled.connect(self._end_acquisition)
             self._monitor.do(acquire(request))
 
         self._explain(request, act)
 
     def _end_acquisition(self) -> None:
-        self._is_acquiring = False
-        self._follow()
+        if not self._monitor.is_changing:
+            self._monitor.settled.disconnect(self._end_acquisition)
+            self._is_acquiring = False
+            self._follow()
 
     def _explain(self, request: StreamRequest, then: Callable[[Way], None]) -> None:
         """Show how a stream would be made, or why it cannot be, and go on in any case."""
@@ -316,7 +319,6 @@ class StreamsPanel(Panel):
         self.tag.textEdited.connect(self._forget_plan)
         self.tag.textEdited.connect(self._begin_question)
         self._monitor.changed.connect(self._show_present_way)
-        self._monitor.settled.connect(self._end_acquisition)
         self.tag.textEdited.connect(
             lambda text: self._offered.setStringList(tag_completions(text, self._tags))
         )

@@ -23,6 +23,7 @@ from unit.rqt.hands import (
 
 from dyknow.model.graph import OUTDATED, PortRef
 from dyknow.model.streams import StreamRequest
+from dyknow_rqt.graph.changes import protect
 from dyknow_rqt.graph.ways import read_way
 from dyknow_rqt.panels.tables import KeyedTable, WayTree
 
@@ -222,7 +223,11 @@ def test_create_makes_a_nodelet(qtbot, window, remote):
     panel.begin("tracker")
     remote.client.answers.clear()
     click(qtbot, panel.create)
+    window.monitor.library_changed.emit(window.monitor.library)
+    window.monitor.do(protect("/field/tracker", True))
+    assert not panel.create.isEnabled() and panel.create.text() == "Creating …"
     panel.name.setText("/next")
+    assert panel.create.isEnabled() and panel.create.text() == "Create"
     remote.client.answers.set()
     until(qtbot, lambda: remote.graph().nodelet("/tracker") and not window.monitor.is_changing)
     assert panel.name.text() == "/next", "a name that is typed meanwhile stays"

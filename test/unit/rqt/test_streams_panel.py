@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+from threading import Event
 from types import SimpleNamespace
 
 import pytest
+from clocks import wait_for
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtGui import QGuiApplication
 from unit.rqt.hands import (
@@ -21,6 +23,7 @@ from unit.rqt.hands import (
     until,
     vertex_keys,
 )
+from unit.rqt.test_health import slow_change
 
 from dyknow.model.graph import State
 from dyknow.model.streams import Replanned, StreamEvent, StreamRequest
@@ -79,6 +82,34 @@ def test_two_quick_clicks_acquire_one_stream(qtbot, window, monkeypatch):
     (question,) = asked
     monitor.ask(*question)
     until(qtbot, lambda: panel.acquire.isEnabled() and monitor.history.texts[0])
+
+
+def test_a_stream_that_waits_for_another_change_is_acquired_once(
+    qtbot, window, remote, monkeypatch
+):
+    panel, monitor, asked = _ask_for(qtbot, window, "Track(ball)"), window.monitor, []
+    (slow, may), may_acquire, acquire = slow_change(), Event(), remote.client.acquire_stream
+
+    def acquire_late(request, dry_run=False):
+        assert dry_run or wait_for(may_acquire) is None
+        return acquire(request, dry_run=dry_run)
+
+    monkeypatch.setattr(remote.client, "acquire_stream", acquire_late)
+    with monkeypatch.context() as patch:
+        patch.setattr(monitor, "ask", lambda *question: asked.append(question))
+        qtbot.mouseClick(panel.acquire, Qt.LeftButton)
+    monitor.settled.emit()  # another change, while the plan is being made
+    assert not panel.acquire.isEnabled()
+    monitor.do(slow)
+    monitor.ask(*asked[0])
+    until(qtbot, lambda: window.line.text.startswith("acquire Track(ball): waiting"))
+    monitor.redo()  # there is nothing: it is refused after all
+    may.set()
+    until(qtbot, lambda: window.line.text == "acquire Track(ball) …")
+    assert not panel.acquire.isEnabled()
+    may_acquire.set()
+    until(qtbot, panel.acquire.isEnabled)
+    assert not monitor.is_changing and len(remote.client.list_streams()) == 1
 
 
 def test_a_user_without_a_name_asks_for_streams(qtbot, window, monkeypatch):
