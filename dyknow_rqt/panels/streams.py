@@ -237,8 +237,9 @@ class StreamsPanel(Panel):
         self.table.show_rows(rows)
         self._follow()
         tag, before = self._awaited
+        wanted = tag, self.request().client_id
         for each in self._monitor.streams:
-            if each.tag == tag and each.claim_id not in before:
+            if (each.tag, each.client_id) == wanted and each.claim_id not in before:
                 self._awaited = ("", frozenset())
                 self._explained = each.claim_id
         self._show_way(self._explained)

@@ -112,6 +112,19 @@ def test_a_stream_that_waits_for_another_change_is_acquired_once(
     assert not monitor.is_changing and len(remote.client.list_streams()) == 1
 
 
+def test_the_stream_of_another_client_does_not_take_the_place_of_a_refused_one(
+    qtbot, window, remote
+):
+    panel = _ask_for(qtbot, window, "Track(ball)")
+    panel.require.setText("it.pose.x <")
+    click(qtbot, panel.acquire)
+    until(qtbot, lambda: panel.acquire.isEnabled() and "expected a formula" in window.line.text)
+    shown = panel.plan.text
+    other = remote.client.acquire_stream(StreamRequest("Track(ball)", client_id="other"))
+    until(qtbot, lambda: other.claim_id in panel.table.names())
+    assert panel.plan.text == shown
+
+
 def test_a_user_without_a_name_asks_for_streams(qtbot, window, monkeypatch):
     """As in a container."""
     for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
