@@ -38,8 +38,10 @@ from dyknow_rqt.widgets import KeysDialog, bare_column_in
 #: Pixels: a window that is less wide than high and than this is narrow. The control panel is shown
 #: in a narrow one that is higher than the second, and in another that is wider than the first.
 _NARROW, _SMALL = 800, 560
-#: Shares of control panel and graph; pixels that the panel has at least, and that its pages need.
-_SHARES, _LEAST_PANEL, _PAGE = (300, 700), (160, 120), 390
+#: Shares of the parts, from the left or from the top.
+_SHARES = {int(Qt.Horizontal): [300, 700], int(Qt.Vertical): [600, 400]}
+#: Pixels that the control panel has at least, and that its pages need.
+_LEAST_PANEL, _PAGE = (160, 120), 390
 #: A docked widget that is smaller shows no graph.
 _LEAST = QSize(480, 320)
 
@@ -81,7 +83,8 @@ class DyKnowWidget(QWidget):
         self.parts.addWidget(self.tabs)
         self.parts.addWidget(self.graph)
         self.parts.setChildrenCollapsible(False)
-        self.parts.setSizes(_SHARES)
+        self._shares = dict(_SHARES)
+        self.parts.setSizes(_SHARES[Qt.Horizontal])
         self.tabs.setMinimumSize(*_LEAST_PANEL)
         bare_column_in(self, self.parts, self.line).setStretch(0, 1)
         self._listen()
@@ -99,7 +102,7 @@ class DyKnowWidget(QWidget):
         if is_narrow is not (self.parts.orientation() == Qt.Vertical):
             self.parts.setOrientation(Qt.Vertical if is_narrow else Qt.Horizontal)
             self.parts.insertWidget(int(is_narrow), self.tabs)
-            self.parts.setSizes([600, 400] if is_narrow else _SHARES)
+            self.parts.setSizes(self._shares[self.parts.orientation()])
         if not self._is_chosen:
             is_room = size.height() >= _SMALL if is_narrow else size.width() >= _NARROW
             self._show_panel(is_room)
@@ -129,11 +132,11 @@ class DyKnowWidget(QWidget):
 
     def state(self) -> dict[str, str]:
         """The settings to save, as texts."""
-        sizes = ",".join(str(size) for size in self.parts.sizes())
+        parts = int(self.parts.orientation()), *self.parts.sizes()
         return {
             **self.graph.state(),
             "tab": str(self.tabs.currentIndex()),
-            "parts": sizes,
+            "parts": ",".join(map(str, parts)),
             "panel": str(int(self.graph.bar.panel.isChecked())) if self._is_chosen else "",
         }
 
@@ -144,9 +147,10 @@ class DyKnowWidget(QWidget):
         tab = str(state.get("tab", ""))
         if tab.isdecimal() and int(tab) < self.tabs.count():
             self.tabs.setCurrentIndex(int(tab))
-        sizes = str(state.get("parts", "")).split(",")
-        if len(sizes) == 2 and all(size.isdecimal() and int(size) for size in sizes):
-            self.parts.setSizes([int(size) for size in sizes])
+        parts = [int(part) for part in str(state.get("parts", "")).split(",") if part.isdecimal()]
+        if len(parts) == 3 and all(parts) and parts[0] in _SHARES:
+            self._shares[parts[0]] = parts[1:]
+            self.parts.setSizes(self._shares[self.parts.orientation()])
         if state.get("panel") in ("0", "1"):
             self._choose_panel(state["panel"] == "1")
 

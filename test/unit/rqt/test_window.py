@@ -165,6 +165,27 @@ def test_settings_are_kept(qtbot, window, remote):
     assert other.state()["mode"] == "0" and other.tabs.currentIndex() == 2
 
 
+def test_narrow_and_wide_windows_keep_their_own_sizes_of_parts(qtbot, window, remote):
+    for sizes in ([250, 600], [650, 150]):
+        window.resize(600, 900)
+        window.parts.setSizes(sizes)
+        graph, panel = window.parts.sizes()
+        assert (graph < panel) is (sizes[0] < sizes[1])
+        other = DyKnowWidget(remote)
+        qtbot.addWidget(other, before_close_func=lambda w: w.shut_down())
+        other.restore(window.state())
+        other.resize(600, 900)
+        other.show()
+        graph, panel = other.parts.sizes()
+        assert (graph < panel) is (sizes[0] < sizes[1])
+        for size in ((1400, 800), (600, 900)):
+            other.resize(*size)
+        graph, panel = other.parts.sizes()
+        assert (graph < panel) is (sizes[0] < sizes[1])
+        other.resize(1400, 800)
+        assert other.parts.sizes()[0] < 600, "the panel has its share of a wide window"
+
+
 def test_an_error_in_a_narrow_window_can_be_read(qtbot, window):
     line = window.line
     until(qtbot, lambda: window.health.text().count("<a ") == 3)
