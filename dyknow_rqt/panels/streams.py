@@ -35,7 +35,7 @@ from dyknow.model.streams import (
 from dyknow.model.transformation import OUT, Transformation
 from dyknow_rqt.graph.changes import acquire, release, replan
 from dyknow_rqt.graph.filters import tag_completions
-from dyknow_rqt.graph.ways import Way, dropped_by, next_ways, present_way, read_way
+from dyknow_rqt.graph.ways import Way, WayPart, dropped_by, next_ways, present_way, read_way
 from dyknow_rqt.monitoring.monitor import GraphMonitor
 from dyknow_rqt.panels.tables import KeyedTable, Panel, WayTree
 from dyknow_rqt.selection import Selection
@@ -84,6 +84,8 @@ class StreamsPanel(Panel):
         self.preview = QPushButton("&Preview", clicked=self._preview)
         self.acquire = QPushButton("Ac&quire", clicked=self._acquire)
         self.plan = WayTree("Plan")
+        #: The parts of the shown plan, unless that is the present one.
+        self._planned: list[WayPart] = []
         #: The claim whose present plan is shown; empty for another text.
         self._explained = ""
         #: The number of the last question; answers to those before it are not shown.
@@ -254,8 +256,9 @@ class StreamsPanel(Panel):
 
     def _show_plan(self, *ways: Way) -> None:
         self.plan.show_ways(*ways)
+        self._planned = [part for way in ways for part in way]
         if self.isVisible():
-            self.planned.emit([part for way in ways for part in way])
+            self.planned.emit(self._planned)
 
     def _say(self, text: str) -> None:
         self._show_plan(read_way(text))
@@ -265,12 +268,17 @@ class StreamsPanel(Panel):
         return self._question
 
     def _forget_plan(self) -> None:
+        self._planned = []
         self.planned.emit([])
+
+    def showEvent(self, event: QEvent) -> None:  # noqa: N802
+        super().showEvent(event)
+        self.planned.emit(self._planned)
 
     def hideEvent(self, event: QEvent) -> None:  # noqa: N802
         """Draw no plan that is not shown."""
         super().hideEvent(event)
-        self._forget_plan()
+        self.planned.emit([])
 
     def choose(self, claims: Sequence[str]) -> None:
         self._selection.choose_claims(claims)

@@ -295,6 +295,7 @@ def test_a_plan_is_drawn_over_the_graph_until_it_is_made_or_left(qtbot, window, 
     until(qtbot, lambda: ghost not in vertex_keys(window))
     until(qtbot, lambda: source.tone is Tone.NONE)
     window.tabs.setCurrentWidget(panel)
+    until(qtbot, lambda: ghost in vertex_keys(window) and source.tone is Tone.KEPT)
     click(qtbot, panel.acquire)
     until(
         qtbot, lambda: "n_/tracker_1" in vertex_keys(window) and ghost not in vertex_keys(window)
