@@ -283,8 +283,10 @@ class GraphScene(QGraphicsScene):
 
     def show_ghosts(self, fates: Mapping[str, bool]) -> None:
         """Tint the vertices that a plan uses on (True), strike out those that it drops."""
+        before = self._ghosts
         self._ghosts = {key: Tone.KEPT if kept else Tone.DROPPED for key, kept in fates.items()}
-        self.highlight(self._highlighted)
+        if self._ghosts != before:
+            self.highlight(self._highlighted)
 
     def find(self, text: str) -> list[VertexItem]:
         """Mark the vertices whose name contains a text; return them from left to right."""

@@ -78,15 +78,19 @@ class GraphPanel(QWidget):
         figure: Figure = self.view.scene().figure
         return figure
 
+    @property
+    def _snapshot(self) -> Snapshot:
+        """The one that is shown: of the present or of the past."""
+        past = self.timeline.moment
+        return self._monitor.snapshot if past is None else past.snapshot
+
     # Drawing
 
     def redraw(self) -> None:
         """Draw the changes; a new layout is made only if vertices or edges came, went or moved."""
-        past, room = self.timeline.moment, self.view.viewport().size()
-        snapshot, plan = self._monitor.snapshot, self._plan
-        if past is not None:
-            snapshot, plan = past.snapshot, ()
-        options = self.bar.options(room)
+        snapshot, plan = self._snapshot, self._plan if self.timeline.moment is None else ()
+        self.view.scene().show_ghosts(fates_of(plan))
+        options = self.bar.options(self.view.viewport().size())
         self._calls.run_once(
             "the figure",
             lambda: with_ghosts(figure_of(snapshot, options), snapshot, plan),
@@ -113,7 +117,6 @@ class GraphPanel(QWidget):
         """Draw a plan that is not made yet over the graph; none of it ends that."""
         if tuple(parts) != self._plan:
             self._plan = tuple(parts)
-            self.view.scene().show_ghosts(fates_of(parts))
             self.redraw()
 
     def tidy(self) -> None:
@@ -197,13 +200,13 @@ class GraphPanel(QWidget):
         status = monitor.heart.status
         if not status.is_sound:
             text = status.text
-        elif not monitor.snapshot.nodelets:
+        elif not self._snapshot.nodelets:
             text = "No nodelets yet: make one in 'Create', or ask for a stream in 'Streams'"
             if not monitor.library:
                 text = "No nodelets and no transformations yet: import some in 'Library'"
         elif not self._order.figure.vertices:
             text = "The filters hide everything"
-        is_over_drawing = bool(monitor.snapshot.nodelets)
+        is_over_drawing = bool(self._snapshot.nodelets)
         self.sign.show_text(text, is_warning=is_over_drawing and not status.is_sound)
 
     # Menus and selection

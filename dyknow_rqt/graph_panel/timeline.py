@@ -167,7 +167,7 @@ class TimelinePanel(QWidget):
             self.track.follow()
             if before is not None:
                 self.changed.emit(difference(before, moment))
-            self._say()
+            (self._say if self.moment is None else self._tell)()
 
     def _tell(self) -> None:
         self._say()

@@ -14,9 +14,11 @@ from python_qt_binding.QtCore import QPoint, Qt
 from unit.rqt.hands import (
     TRACKER,
     centre_of,
+    click,
     context_menu,
     drag,
     is_settled,
+    show,
     topic,
     until,
     vertex_keys,
@@ -27,6 +29,7 @@ from dyknow.formulas import Truth
 from dyknow.model.graph import PortRef, State
 from dyknow.model.streams import ClaimState, StreamRequest, StreamStatus
 from dyknow.model.transformation import OUT, VERDICT, Port, Transformation, as_specification
+from dyknow_rqt.canvas.appearance import Tone
 from dyknow_rqt.canvas.items import Mark
 from dyknow_rqt.graph.snapshot import Difference, GraphMoment, Moments, Snapshot, difference
 from dyknow_rqt.screenshots import dark_palette
@@ -262,6 +265,48 @@ def test_the_past_has_no_verdicts(qtbot, window, remote, track, monkeypatch):
     assert not scene.facts.verdicts
     qtbot.keyClick(track, Qt.Key_End)
     until(qtbot, lambda: shown() == {Truth.FALSE})
+
+
+def test_the_past_is_compared_with_each_new_present(
+    qtbot, window, remote, track, scene, monkeypatch
+):
+    qtbot.keyClick(track, Qt.Key_Home)
+    until(qtbot, lambda: "n_/nao1/recorder" in vertex_keys(window))
+    assert scene.vertices["n_/nao1/resize"].mark is None
+    later = time.time() + 60
+    monkeypatch.setattr(_CLOCK, lambda: later)
+    remote.client.destroy("/nao1/resize")
+    until(qtbot, lambda: scene.vertices["n_/nao1/resize"].mark is Mark.WENT)
+
+
+def test_the_past_has_no_plan(qtbot, window, track, scene):
+    def is_kept():
+        return any(item.tone is Tone.KEPT for item in scene.vertices.values())
+
+    panel = show(window, window.streams)
+    qtbot.keyClicks(panel.tag, "Track(ball)")
+    click(qtbot, panel.preview)
+    until(qtbot, is_kept)
+    qtbot.keyClick(track, Qt.Key_Left)
+    until(qtbot, lambda: not is_kept())
+    window.tabs.setCurrentWidget(window.active)
+    show(window, panel)
+    until(qtbot, lambda: is_settled(window))
+    assert not is_kept()
+    qtbot.keyClick(track, Qt.Key_End)
+    until(qtbot, is_kept)
+
+
+def test_a_graph_of_the_past_is_not_said_to_be_empty(qtbot, window, remote, track):
+    sign = window.graph.sign
+    remote.client.set_protection("/nao1/bottom_camera", False)
+    for each in remote.graph().nodelets:
+        remote.client.destroy(each.name)
+    until(qtbot, lambda: "No nodelets yet" in sign.text())
+    qtbot.keyClick(track, Qt.Key_Home)
+    until(qtbot, lambda: "n_/nao1/resize" in vertex_keys(window) and not sign.isVisible())
+    qtbot.keyClick(track, Qt.Key_End)
+    until(qtbot, lambda: "No nodelets yet" in sign.text() and sign.isVisible())
 
 
 def test_the_past_is_not_changed_by_hands(qtbot, window, remote, track, view):
