@@ -150,6 +150,14 @@ class TopicCard(QWidget):
         painter.setPen(colours_of(self.palette()).box_line)
         painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
 
+    def keyPressEvent(self, event: Any) -> None:  # noqa: N802
+        """Leave no key to the drawing below, whose selection it would delete or move."""
+        button = self.focusWidget()
+        if event.key() == Qt.Key_Escape:
+            self.show_topic("")
+        elif event.key() in (Qt.Key_Return, Qt.Key_Enter) and isinstance(button, QToolButton):
+            button.click()
+
     # Listening
 
     def _follow(self) -> None:

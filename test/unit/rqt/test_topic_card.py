@@ -14,6 +14,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped
 from python_qt_binding.QtCore import Qt
+from python_qt_binding.QtWidgets import QToolButton
 from sensor_msgs.msg import CompressedImage, Image, JointState
 from unit.rqt.hands import centre_of, click, drag, until
 
@@ -153,6 +154,26 @@ def test_a_click_on_an_arrow_shows_its_last_message(qtbot, window, remote):
     until(qtbot, lambda: "Hz" in card.facts.text() and "B/s" in card.facts.text())
     assert "45 B each" in card.facts.text() and " s ago" in card.facts.text()
     assert view.viewport().rect().contains(card.geometry())
+
+
+def test_keys_in_the_card_do_nothing_to_the_drawing(qtbot, window, remote, view):
+    card = window.graph.card
+    place = place_on(view, BALL, "n_/field/tracker")
+    for close, key in ((card.text, Qt.Key_Escape), (card.findChild(QToolButton), Qt.Key_Return)):
+        qtbot.mouseClick(view.viewport(), Qt.LeftButton, pos=place)
+        until(qtbot, lambda: remote.listeners.get(BALL))
+        remote.send(BALL, point(1))
+        until(qtbot, card.text.isVisible)
+        before = window.selection.edges, view.zoom
+        assert before[0]
+        card.text.setFocus()
+        for other in (Qt.Key_Delete, Qt.Key_Plus, Qt.Key_Return, Qt.Key_Up):
+            qtbot.keyClick(card.text, other)
+        assert (window.selection.edges, view.zoom) == before and card.isVisible()
+        assert not window.monitor.is_changing
+        close.setFocus()
+        qtbot.keyClick(close, key)
+        assert not card.isVisible()
 
 
 def test_the_card_stays_in_a_view_that_becomes_smaller(window):
