@@ -297,8 +297,10 @@ class Places:
         self._keep()
 
     def to_text(self) -> str:
-        self._keep()  # also what was taken over
-        return json.dumps(self._kept) if self._kept else ""
+        if self.present:
+            self._keep()  # also what was taken over
+        kept = {wiring: places for wiring, places in self._kept.items() if places}
+        return json.dumps(kept) if kept else ""
 
     def read(self, text: str) -> None:
         """Read what ``to_text`` wrote; a text that is not that is ignored."""
@@ -313,7 +315,6 @@ class Places:
 
     def _keep(self) -> None:
         self._kept.pop(self._wiring, None)
-        if self.present:
-            self._kept[self._wiring] = dict(self.present)
+        self._kept[self._wiring] = dict(self.present)
         for wiring in list(self._kept)[:-_MOST]:
             del self._kept[wiring]

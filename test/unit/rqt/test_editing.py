@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import gc
+import json
 
 import pytest
 from python_qt_binding.QtCore import QPoint, Qt
@@ -171,6 +172,19 @@ def test_places_belong_to_a_wiring_and_are_taken_over_by_the_next():
         read.follow([f"/{number}"])
         read.put({"n_/a": Point(number, 0)})
     assert len(read._kept) == 20 and read.present == {"n_/a": Point(49, 0)}
+
+
+def test_a_tidied_wiring_takes_over_no_places_when_it_comes_back():
+    places = Places()
+    places.follow(["/a"])
+    places.put({"n_/a": Point(1, 2)})
+    places.follow(["/a", "/b"])
+    places.forget()
+    places.follow(["/a"])
+    assert places.present == {"n_/a": Point(1, 2)}
+    places.follow(["/a", "/b"])
+    assert places.present == {}
+    assert len(json.loads(places.to_text())) == 1
 
 
 # Wires
