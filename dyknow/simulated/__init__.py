@@ -10,6 +10,7 @@ flows; counts of ports are invented.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from dataclasses import replace
@@ -54,8 +55,9 @@ class SimulatedHost(FakeHost):
                 self.sources[each.source] = tuple(ports.values())
 
     def _new_name(self) -> str:
-        number = len(self.processes) + 1
-        return "/dyknow_nodelet_manager" + (f"_{number}" if number > 1 else "")
+        name = "/dyknow_nodelet_manager"
+        candidates = (f"{name}_{number}" if number > 1 else name for number in itertools.count(1))
+        return next(name for name in candidates if name not in self.processes)
 
 
 class SimulatedClock(Clock):

@@ -123,6 +123,15 @@ def test_a_stream_is_made_again_as_soon_as_a_pause_is_over() -> None:
     assert pauses[-4:] == pytest.approx([1.0, 2.0, 4.0, 8.0], abs=PAUSE / 2)
 
 
+def test_no_process_takes_the_name_of_another() -> None:
+    client = Life().client
+    for name in ("/a", "/b"):
+        client.spawn_nodelet(SpawnRequest("camera", name, isolated=True))
+    client.destroy("/a")
+    client.spawn_nodelet(SpawnRequest("camera", "/c", isolated=True))
+    assert client.core.graph.get("/b").manager != client.core.graph.get("/c").manager
+
+
 @pytest.mark.parametrize("seconds", [0.0, 7.3])
 def test_a_life_is_the_same_each_time(seconds: float) -> None:
     def live() -> List[Tuple[float, ClaimState]]:
