@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 FAR = 0.3
 #: Below this zoom ovals are dots; smooth ones would take longer than all the rest.
 _DOTS = 0.2
-#: Least size of a title beside names that can be read, as a part of its full one.
-_SMALL = 0.75
+#: Least size of a title beside names that can be read, as a part of its full one, and its most
+#: pixels of the drawing: more would cover the contents.
+_SMALL, _TALLEST = 0.75, 23.0
 #: Pixels of the screen: the least width that a title is cut to, and its margin.
 _NARROW, _MARGIN = 90.0, 3.0
 
@@ -124,8 +125,9 @@ def paint_titles(
     """
     zoom = min(1.0, painter.worldTransform().m11())
     is_far = zoom * painter.device().devicePixelRatioF() < FAR
-    pixel = (1.0 if is_far else max(_SMALL, zoom)) / zoom
     metrics = QFontMetricsF(font)
+    beside = min(max(_SMALL, zoom) / zoom, _TALLEST / metrics.height())
+    pixel = 1.0 / zoom if is_far else beside
     taken: list[QRectF] = []
     ground = QColor(colours.box)
     ground.setAlpha(210)

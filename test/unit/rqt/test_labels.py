@@ -163,7 +163,7 @@ _FONT = QFont("DejaVu Sans", 9)
 _NODELET = Size(80.0, 30.0)
 
 
-def painted_rows(zoom):
+def painted_rows(zoom, font):
     """Rows of pixels that the title of a box takes, and how many are above its nodelet."""
     group = ("/nao1",)
     box = boxes_around({"a": group}, {"a": Point(0.0, 0.0)}, {"a": _NODELET})[group]
@@ -173,7 +173,7 @@ def painted_rows(zoom):
     painter.scale(zoom, zoom)
     painter.translate(-box.left, -box.top)
     owner = QRectF(box.left, box.top, box.right - box.left, box.bottom - box.top)
-    paint_titles(painter, [(owner, "/nao1")], _FONT, colours_of(QPalette()), owner)
+    paint_titles(painter, [(owner, "/nao1")], font, colours_of(QPalette()), owner)
     painter.end()
     return rows_of(image), (-_NODELET.height / 2 - box.top) * zoom
 
@@ -187,15 +187,16 @@ def rows_of(image, background="white"):
     ]
 
 
-@pytest.mark.parametrize("zoom", [0.55, 0.7, 0.85, 1.0, 2.0])
-def test_titles_beside_legible_names_cover_no_nodelet(qapp, zoom):
-    rows, room = painted_rows(zoom)
+@pytest.mark.parametrize("points", [9, 14])
+@pytest.mark.parametrize("zoom", [1.1 * FAR, 0.45, 0.55, 0.7, 0.85, 1.0, 2.0])
+def test_titles_beside_legible_names_cover_no_nodelet(qapp, zoom, points):
+    rows, room = painted_rows(zoom, QFont("DejaVu Sans", points))
     assert rows and max(rows) < room
 
 
 @pytest.mark.parametrize("zoom", [0.05, 0.1, 0.9 * FAR])
 def test_titles_seen_from_far_are_as_large_as_texts_elsewhere(qapp, zoom):
-    rows, _ = painted_rows(zoom)
+    rows, _ = painted_rows(zoom, _FONT)
     assert len(rows) >= QFontMetricsF(_FONT).height() - 1
 
 
