@@ -60,8 +60,6 @@ class GraphScene(QGraphicsScene):
         self.is_far = False
         self._seen, self.zoom = QRectF(), 1.0
         self._marked: list[EdgeItem | VertexItem] | None = None
-        #: Whether a drawing has begun that is not shown yet.
-        self.is_drawing = False
         self._drawing = Drawing()
         self.slices = Slices(self)
         self.marks = Marks(self)
@@ -89,7 +87,7 @@ class GraphScene(QGraphicsScene):
         self.slices.go_on()
 
     def _draw(self) -> Iterator[None]:
-        drawing, self.is_drawing, self._marked = self._drawing, True, None
+        drawing, self._marked = self._drawing, None
         figure, layout, sizes = drawing.figure, drawing.layout, drawing.sizes
         drawn = {vertex.key for vertex in figure.vertices}
         for key in [key for key in self.vertices if key not in drawn]:
@@ -122,7 +120,7 @@ class GraphScene(QGraphicsScene):
         is_drawn = self._highlighted in self.things
         self.highlight(self._highlighted if is_drawn else None)
         self.marks.apply()
-        self.is_drawing, self._marked = False, None
+        self._marked = None
         self.look_again()
         self.shown.emit(drawing)
 

@@ -231,13 +231,13 @@ def test_the_table_and_the_graph_select_the_same(qtbot, window):
 def test_what_is_selected_between_two_slices_of_a_drawing_stays_selected(
     qtbot, window, monkeypatch, scene
 ):
+    while scene.slices._steps:
+        scene.slices.go_on()
     monkeypatch.setattr(background_calls, "SLICE", -1.0)  # each step is one
     scene.show_drawing(scene._drawing)
-    while not scene.is_drawing:
-        scene.slices.go_on()
     window.graph.view.select(scene.vertices["n_/field/tracker"])
-    assert scene.is_drawing and window.selection.nodelets == ["/field/tracker"]
-    until(qtbot, lambda: not scene.is_drawing)
+    assert scene.slices.is_wanted(scene._draw) and window.selection.nodelets == ["/field/tracker"]
+    until(qtbot, lambda: is_settled(window))
     assert drawn_selection(window) == {"n_/field/tracker"}
     assert window.selection.nodelets == ["/field/tracker"]
 

@@ -144,8 +144,8 @@ def test_the_name_of_a_port_covers_no_rate_of_its_arrows(qtbot, window, flow):
 
 
 def is_labelled(scene):
-    is_placed = scene.labels.are_placed and not scene.is_drawing
-    return is_placed and not scene.slices.is_wanted(scene._show_all_traffic)
+    jobs = (scene._draw, scene._show_all_traffic)
+    return scene.labels.are_placed and not any(map(scene.slices.is_wanted, jobs))
 
 
 def test_where_a_rate_stands_does_not_depend_on_its_value(qapp):
