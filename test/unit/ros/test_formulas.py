@@ -199,7 +199,7 @@ def test_a_subscriber_that_is_refused_leaves_no_claim(around, told):
 
 def test_holds_keeps_messages_until_their_individual_is_present(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(sources, "_PATIENCE", 0.0)
+    monkeypatch.setattr(sources, "_PATIENCE", 0.01)
     monkeypatch.setattr(rospy.core, "is_initialized", lambda: True)
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(now[0]))
@@ -216,7 +216,7 @@ def test_holds_keeps_messages_until_their_individual_is_present(monkeypatch):
 
 def test_holds_keeps_messages_until_ros_time_begins(monkeypatch):
     times = iter([0, 0, 100, 103])
-    monkeypatch.setattr(sources, "_PATIENCE", 0.0)
+    monkeypatch.setattr(sources, "_PATIENCE", 0.01)
     monkeypatch.setattr(rospy.core, "is_initialized", lambda: True)
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(next(times)))
