@@ -10,7 +10,6 @@ derived from it, the one of ``dyknow.proxy`` declares ports.
 from __future__ import annotations
 
 import contextlib
-import queue
 import threading
 from typing import Any, Callable
 
@@ -216,32 +215,37 @@ class Inbox(Closable):
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._entries: list[Any] = []  # the first one counts
+        self._has_one = threading.Event()
         self.putting = 0  # the thread that is about to put the message, if that is known
 
     def put(self, message: Any) -> None:
-        self._queue.put((message,))
+        self._put((message,))
 
     def close(self) -> None:
         """End the wait, unless the thread that calls is about to put the message."""
         if threading.get_ident() != self.putting:
-            self._queue.put(None)
+            self._put(None)
 
     def get(self, what: str, timeout: float | None) -> Any:
         """Wait for the message."""
         node = self._context.runtime.node
         self._context.close_with(self)
         try:
-            entry = self._queue.get(timeout=timeout)
-        except queue.Empty:
-            raise node.timed_out(f"{what} did not come within {timeout:g} s") from None
+            if not self._has_one.wait(timeout):
+                raise node.timed_out(f"{what} did not come within {timeout:g} s")
         finally:
             self._context.forget(self)
+        entry = self._entries.pop(0)  # it may hold the caller
         if entry is None:
             unloaded = f"nodelet {self._context.name} was unloaded"
             end = unloaded if self._context.closed else "it was shut down"
             raise node.interrupted(f"{what}: {end}")
         return entry[0]
+
+    def _put(self, entry: Any) -> None:
+        self._entries.append(entry)
+        self._has_one.set()
 
 
 class Service(Closable):

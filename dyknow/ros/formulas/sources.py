@@ -36,7 +36,7 @@ class LiveTopics:
         """Become a node, if this process is none yet."""
         if not rospy.core.is_initialized():
             init_node("dyknow_holds", anonymous=True, disable_signals=True, disable_rosout=True)
-        self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        self._received: queue.Queue[Received] = queue.Queue()
         self._state_lock = state_lock("messages of topics")
         #: The last message of each port, of an individual, that the monitor has not received.
         self._waiting: dict[tuple[str, str], Any] = {}

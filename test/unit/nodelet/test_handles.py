@@ -16,7 +16,7 @@ from unit.nodelet.fakes import Idle, Message, numbers, pool_world
 
 from dyknow.errors import BadQueueSize, DyKnowError, HandleClosed, InvalidName, NoMessageClass
 from dyknow.nodelet.context import Context
-from dyknow.nodelet.handle import PlainNodeHandle
+from dyknow.nodelet.handle import Inbox, PlainNodeHandle
 
 pool = pool_world(4)
 
@@ -188,6 +188,18 @@ class TestWaitForMessage:
         with pytest.raises(DyKnowError, match="'t' did not come within 0 s"):
             nh.wait_for_message("t", Message, timeout)
         assert world.registrations == []
+
+    @pytest.mark.parametrize("timeout", [0.0, 1e-6])
+    def test_ends_in_time_however_short_that_is(self, pool, timeout):
+        """Some of these waits had no end: of ``SimpleQueue``, where the time was over at once."""
+        context = pool.handle().context
+
+        def wait():
+            for _ in range(3000):
+                with pytest.raises(DyKnowError, match="'t' did not come"):
+                    Inbox(context).get("'t'", timeout)
+
+        join(in_thread(wait))
 
     @pytest.mark.parametrize("timeout", [float("inf"), 1e10])
     def test_takes_a_timeout_without_end(self, pool, timeout):
