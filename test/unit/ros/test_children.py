@@ -160,7 +160,8 @@ def sleeping():
         try:
             yield process
         finally:
-            process.kill()
+            with contextlib.suppress(ProcessLookupError):  # on Python 3.8, if it was reaped
+                process.kill()
 
 
 def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monkeypatch):
