@@ -576,17 +576,15 @@ class ClaimPlanner:
             return answer
         # The planner has connected a nodelet elsewhere whose stream it uses as well.
         own = tuple(each for each in situation.own if each.name not in used)
-        second = self._searched(situation._replace(own=own))
-        if isinstance(second, NoPlan) or second.cost > answer.cost:
+        others = [self._searched(situation._replace(own=own))]
+        if isinstance(others[0], NoPlan) or others[0].cost > answer.cost:
             usable = tuple(each for each in situation.usable if not self._has(moved, each[0]))
-            third = self._searched(situation._replace(usable=usable))
-            if isinstance(second, NoPlan) or (
-                isinstance(third, Plan) and third.cost < second.cost
-            ):
-                second = third
-        if isinstance(second, NoPlan):
-            return second
-        return replace(second, least_cost=min(second.least_cost, answer.least_cost))
+            others.append(self._searched(situation._replace(usable=usable)))
+        plans = [each for each in others if isinstance(each, Plan)]
+        if not plans:
+            return others[-1]
+        best = min(plans, key=lambda plan: plan.cost)
+        return replace(best, least_cost=min(best.least_cost, answer.least_cost))
 
     def _has(self, nodelets: AbstractSet[str], stream: Live) -> bool:
         """Whether one of these nodelets publishes a stream, or feeds the one that does."""
