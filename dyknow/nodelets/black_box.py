@@ -111,7 +111,7 @@ class BlackBox(dyknow.Nodelet):
             if is_wanted and topic not in self.subscribers and datatype != "*":
                 try:
                     self.keep(topic, message_class(datatype) or rospy.AnyMsg)
-                except DyKnowError as error:  # a topic that is denied, say: the others are kept
+                except DyKnowError as error:  # a denied topic, say: other topics are kept
                     self.subscribers[topic] = None
                     self.nh.logwarn("%s: %s is not kept: %s", self.name, topic, error)
 

@@ -305,7 +305,7 @@ class Repair:
     def _kept(self, claim: Claim) -> set[str]:
         """Nodelets that a claim without a stream keeps for itself.
 
-        An external node is left to others, unless the clients listen where it publishes.
+        An external node is left to other claims, unless the clients listen where it publishes.
         """
         records = [self._graph.find(each.name) for each in self._planner.own(claim)]
         return {

@@ -114,7 +114,7 @@ class Sandbox:
         settled: set when its main thread waits for the first time, or has ended.
         threads: the threads that its code started.
         on_refusal: called when a refused call ends a thread or a callback.
-        on_signal: called when others end its code, as a signal would.
+        on_signal: called when an unload ends its code, as a signal would.
         thread_hook: returns the ``threading.excepthook`` that its code has set, or None.
         main: its main thread; None for libraries.
     """
@@ -194,7 +194,7 @@ class Sandbox:
         context = self.context
         if context is None:
             return
-        if self.is_alone:  # nobody waits for its load
+        if self.is_alone:  # no load waits for it
             in_background(f"unloading {self.name}", context.unload)
             return
 

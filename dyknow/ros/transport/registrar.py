@@ -105,7 +105,7 @@ class Registrar:
 
     def connect_again(self, topic: str, uris: Collection[str]) -> None:
         """Connect to publishers of a topic that this process has disconnected from."""
-        # With all others: rospy forgets what the master has told it of the topic just now.
+        # With all other publishers: rospy forgets what the master has just reported of the topic.
         with contextlib.suppress(PeerTimeout, LookupError):
             uris = {*uris, *map(self._master.node, self._master.publishers(topic))} - {""}
         self._hear_of(topic, uris)
