@@ -220,27 +220,32 @@ class OrdinaryHandles(rospy.SubscribeListener):
 
         def add_connection(connection: Any) -> Any:
             self._count_connecting(1)  # first: a peer that sees the connection is heard already
+            address: str | None = None
             try:
-                return add_and_catch_up(connection)
+                while True:
+                    with self._publisher_held():  # nothing comes between missed and later messages
+                        if address is not None or not self.backlog.open:
+                            return add_and_catch_up(connection, address or "")
+                    address = self._address(connection.endpoint_id)  # which takes its time
             finally:
                 self._count_connecting(-1)
 
-        def add_and_catch_up(connection: Any) -> Any:
-            address = self._address(connection.endpoint_id) if self.backlog.open else ""
-            with self._publisher_held():  # nothing is published between missed and later messages
-                made = self._outbound(connection, self._queue_size)
-                self._forget_ordinary()
-                latched, missed = publisher.latch, self.backlog.missed_by(address)
-                if any(each is latched for each in missed):
-                    publisher.latch = None  # rospy would send it first, and again
-                try:
-                    added = add(made)
-                    latched = publisher.latch or latched  # a listener may have published
-                    for message in missed:
-                        outwards(message, made)
-                    return added
-                finally:
-                    publisher.latch = latched
+        def add_and_catch_up(connection: Any, address: str) -> Any:
+            made = self._outbound(connection, self._queue_size)
+            self._forget_ordinary()
+            latched, missed = publisher.latch, self.backlog.missed_by(address)
+            if any(each is latched for each in missed):
+                publisher.latch = None  # rospy would send it first, and again
+            try:
+                added = add(made)
+                latched = publisher.latch or latched  # a listener may have published
+                for message in missed:
+                    outwards(message, made)
+                return added
+            finally:
+                publisher.latch = latched
+                # Last: until now it is expected, from now on it is among the connections.
+                self.backlog.forget({address})
 
         publisher.publish = publish
         publisher.add_connection = add_connection

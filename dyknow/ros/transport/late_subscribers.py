@@ -112,12 +112,8 @@ class Backlog:
                 self.gave_up()
 
     def missed_by(self, address: str) -> list[Any]:
-        """Return the messages that a subscriber missed which has connected now, oldest first."""
-        if not self.waiting() or address not in self.due:
-            return []
-        missed = list(self._missed)
-        self.forget({address})
-        return missed
+        """Return the messages that an expected subscriber has missed by now, oldest first."""
+        return list(self._missed) if self.waiting() and address in self.due else []
 
     def forget(self, addresses: Collection[str]) -> None:
         """Expect these subscribers no more."""

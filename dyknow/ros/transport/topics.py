@@ -120,7 +120,8 @@ class RospyPublisher(OutsidePublisher):
     def publish(self, message: Any) -> None:
         """Serialise once for everyone outside; ordinary subscribers in here get the object."""
         self._ordinary.deliver(message)
-        if self._implementation.connections or self._ordinary.backlog.open:
+        # Not the other way round: who is expected no more is among the connections by then.
+        if self._ordinary.backlog.open or self._implementation.connections:
             self._send(message)
 
     def publish_to(self, peer: Any, message: Any) -> None:

@@ -16,6 +16,7 @@ import pytest
 import rospy.core
 import rospy.topics
 from clocks import PATIENCE as DEADLINE
+from clocks import eventually
 from rospy.impl import registration, tcpros, tcpros_pubsub
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.topics import _SubscriberImpl
@@ -47,10 +48,13 @@ def test_each_late_subscriber_receives_once_the_messages_that_it_missed():
     assert not backlog.waiting() and backlog.missed_by(ONE) == []
     backlog.expect([ONE, TWO], 10)
     backlog.keep(1)
-    assert [backlog.missed_by(each) for each in (THREE, "", ONE, ONE)] == [[], [], [1], []]
+    assert [backlog.missed_by(each) for each in (THREE, "", ONE)] == [[], [], [1]]
+    backlog.forget({ONE})
+    assert backlog.missed_by(ONE) == []
     backlog.keep(2)
     assert backlog.waiting()
     assert backlog.missed_by(TWO) == [1, 2]
+    backlog.forget({TWO})
     assert not backlog.waiting() and backlog.missed_by(THREE) == []
 
 
@@ -392,81 +396,158 @@ def test_of_two_connections_to_a_publisher_the_first_stays(is_shared, monkeypatc
 # A subscriber that connects while a publication is being made
 
 
-class AtAddition(logging.Filter):
-    """Holds up a thread that is about to add a connection, unless it holds up the publisher."""
+class OutsideTopic:
+    """rospy's topic ``/t`` of this process, and the subscriber ``ONE`` that connects to it.
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.publisher: Any = None
-        self.begun, self.may_end = threading.Event(), threading.Event()
+    Attributes:
+        manager: the topic manager of rospy.
+        notified: what the master says of the subscribers.
+        near, far: the sockets of the connection; the latter is the subscriber's.
+    """
 
-    def filter(self, record: logging.LogRecord) -> bool:
-        if "adding connection" in record.getMessage():
-            self.begun.set()
-            if not self.publisher.publock._is_owned():
-                assert self.may_end.wait(DEADLINE)
-        return True
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.manager = rospy.topics._TopicManager()
+        self.listeners = registration.RegistrationListeners()
+        self.notified: frozenset[str] | None = frozenset({ONE})
+        monkeypatch.setattr(registration, "_topic_manager", self.manager)
+        monkeypatch.setattr(rospy.topics, "get_topic_manager", lambda: self.manager)
+        monkeypatch.setattr(registration, "_registration_listeners", self.listeners)
+        monkeypatch.setattr(rospy.core, "get_node_uri", lambda: THREE)
+        monkeypatch.setattr(tcpros.get_tcpros_handler(), "create_transport", print)
+        self.near, self.far = socket.socketpair()
+        self.far.settimeout(DEADLINE)
+        self._connection = TCPROSTransport(tcpros_pubsub.TCPROSPub("/t", Header), "/t")
+        self._connection.set_socket(self.near, ONE)
 
-
-@pytest.mark.parametrize("is_new", [True, False])
-def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, monkeypatch, caplog):
-    """For good: nothing happens to the topic after that to say that it is there."""
-    manager, listeners = rospy.topics._TopicManager(), registration.RegistrationListeners()
-    monkeypatch.setattr(registration, "_topic_manager", manager)
-    monkeypatch.setattr(rospy.topics, "get_topic_manager", lambda: manager)
-    monkeypatch.setattr(registration, "_registration_listeners", listeners)
-    monkeypatch.setattr(rospy.core, "get_node_uri", lambda: THREE)
-    monkeypatch.setattr(tcpros.get_tcpros_handler(), "create_transport", print)
-    held_up, here = AtAddition(), socket.socketpair()
-    connection = TCPROSTransport(tcpros_pubsub.TCPROSPub("/t", Header), "/t")
-    connection.set_socket(here[0], ONE)
-
-    def connect() -> None:
-        held_up.publisher = manager.get_publisher_impl("/t")
-        subscriber.start()
-        assert held_up.begun.wait(DEADLINE)
-
-    subscriber = threading.Thread(
-        target=lambda: manager.get_publisher_impl("/t").add_connection(connection)
-    )
-    master: Any = registration.RegistrationListener()
-    master.reg_added = lambda *topic: connect()
-    memory: Any = SimpleNamespace(
-        topics=set(),
-        publish=lambda *message: False,
-        outbound=lambda each, size: Outbound(each, size, None),
-    )
-    names: Any = SimpleNamespace(node=str, subscribers=set)
-    notified = frozenset({ONE}) if is_new else None
-    registrar: Any = SimpleNamespace(subscribers=lambda topic: notified, late=LateSubscribers())
-    caplog.set_level(logging.INFO, "rospy.internal")
-    internal = logging.getLogger("rospy.internal")
-    internal.addFilter(held_up)
-    listeners.add_listener(master)
-    try:
-        if not is_new:
-            manager.acquire_impl(registration.Registration.PUB, "/t", Header)
+    def advertise(self) -> RospyPublisher:
+        memory: Any = SimpleNamespace(
+            topics=set(),
+            publish=lambda *message: False,
+            outbound=lambda each, size: Outbound(each, size, None),
+        )
+        names: Any = SimpleNamespace(node=str, subscribers=set)
+        registrar: Any = SimpleNamespace(
+            subscribers=lambda topic: self.notified, late=LateSubscribers()
+        )
         hook = IntraProcess(ManualExecutor(), memory)
         hook._master = names
         made = RospyPublisher(hook, memory, registrar, "/t", Header, False, 3, {})
         made.wait(0.0)
+        return made
+
+    def connect(self) -> None:
+        self.manager.get_publisher_impl("/t").add_connection(self._connection)
+
+    def received(self, last: bytes) -> bytes:
+        """What has come when the last message is there."""
+        found = b""
+        while last not in found:
+            found += self.far.recv(1000)
+        return found
+
+
+@pytest.fixture
+def outside(monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "rospy.internal")
+    topic = OutsideTopic(monkeypatch)
+    yield topic
+    topic.manager.close_all()
+    for each in (topic.near, topic.far):
+        each.close()
+
+
+@pytest.fixture
+def at_addition():
+    """Call functions whenever rospy is about to add a connection."""
+    internal = logging.getLogger("rospy.internal")
+    filters: list[Any] = []
+
+    def add(call) -> None:
+        filters.append(lambda record: "adding connection" not in record.getMessage() or call())
+        internal.addFilter(filters[-1])
+
+    yield add
+    for each in filters:
+        internal.removeFilter(each)
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+def test_a_subscriber_that_connects_at_the_registration_hears_all(is_new, outside, at_addition):
+    """For good: nothing happens to the topic after that to say that it is there."""
+    begun, may_end = threading.Event(), threading.Event()
+    subscriber = threading.Thread(target=outside.connect)
+
+    def hold_up() -> bool:
+        begun.set()
+        is_publisher_held = outside.manager.get_publisher_impl("/t").publock._is_owned()
+        return is_publisher_held or may_end.wait(DEADLINE)
+
+    def connect() -> None:
+        subscriber.start()
+        assert begun.wait(DEADLINE)
+
+    at_addition(hold_up)
+    master: Any = registration.RegistrationListener()
+    master.reg_added = lambda *topic: connect()
+    outside.listeners.add_listener(master)
+    try:
+        if not is_new:
+            outside.notified = None
+            outside.manager.acquire_impl(registration.Registration.PUB, "/t", Header)
+        made = outside.advertise()
         made.publish(Header(frame_id="early"))
-        held_up.may_end.set()
+        may_end.set()
         subscriber.join(DEADLINE)
         assert made.heard
         made.publish(Header(frame_id="heard"))
-        here[1].settimeout(DEADLINE)
-        received = b""
-        while b"heard" not in received:
-            received += here[1].recv(1000)
+        received = outside.received(b"heard")
         assert (b"early" in received) is is_new, "only the master says that it is to come"
         (taken,) = made.peers()
         assert isinstance(taken, Outbound) and taken._queue_size == 3
         taken.close()
         assert not made.heard
     finally:
-        held_up.may_end.set()
-        internal.removeFilter(held_up)
-        manager.close_all()
-        for each in here:
-            each.close()
+        may_end.set()
+
+
+def test_what_is_published_while_a_late_subscriber_connects_reaches_it(
+    outside, at_addition, monkeypatch
+):
+    made = outside.advertise()
+    publisher = threading.Thread(target=made.publish, args=[Header(frame_id="between")])
+    is_through = threading.Event()  # it has found that nobody listens, or waits for its turn
+    held = topics.held
+
+    def waits_for_its_turn(implementation):
+        is_through.set()
+        return held(implementation)
+
+    def publish() -> bool:
+        monkeypatch.setattr(topics, "held", waits_for_its_turn)
+        publisher.start()
+        while publisher.is_alive() and not is_through.wait(0.01):
+            pass
+        return True
+
+    made.publish(Header(frame_id="early"))
+    at_addition(publish)
+    outside.connect()
+    publisher.join(DEADLINE)
+    made.publish(Header(frame_id="last"))
+    received = outside.received(b"last")
+    assert 0 < received.find(b"early") < received.find(b"between")
+
+
+def test_a_subscriber_that_connects_as_it_becomes_expected_is_expected_no_more(outside):
+    made = outside.advertise()
+    handles = made._ordinary
+    handles.forget_dead(lambda each: True)  # so far none is
+    with handles._publisher_held():  # as while it is expected
+        subscriber = threading.Thread(target=outside.connect)
+        subscriber.start()
+        eventually(lambda: handles._connecting)
+        handles.backlog.expect({ONE}, 3)
+        handles.backlog.keep(Header(frame_id="early"))
+    subscriber.join(DEADLINE)
+    assert not handles.backlog.due
+    assert b"early" in outside.received(b"early")
