@@ -231,6 +231,7 @@ class MasterKeeper:
                 lambda each: is_offered(each, kept.addresses[each], self._me, _PATIENCE), services
             )
             offered = [service for service, is_there in zip(services, there) if is_there]
+            loss = replace(loss, living=self._without_newcomers(living, missing))
             parameters = loss.parameters()
             self._master.ask_all(("setParam", self._me, name, value) for name, value in parameters)
             publishers = loss.publisher_registrations()
@@ -278,6 +279,20 @@ class MasterKeeper:
             return NodeTopics()
         except PeerTimeout as error:
             return NodeTopics() if may_be_there(error) else None
+
+    def _without_newcomers(
+        self, living: Mapping[str, NodeTopics], missing: Mapping[str, NodeAddress]
+    ) -> dict[str, NodeTopics]:
+        """Leave out nodes of which a new process has registered while all were being asked.
+
+        The master would tell that one to end.
+        """
+        uris = self._master.ask_all(("lookupNode", self._me, each) for each in living)
+        return {
+            node: topics
+            for (node, topics), uri in zip(living.items(), uris)
+            if not uri or uri == missing[node].uri
+        }
 
     def _notify(self, news: tuple[str, str, str, list[str]]) -> None:
         node, uri, topic, publishers = news

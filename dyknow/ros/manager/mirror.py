@@ -107,10 +107,11 @@ class MasterLoss:
         return sorted(mine, key=lambda each: (self.kept.services[each] == self.last, each))
 
     def service_registrations(self, offered: Iterable[str]) -> Iterator[Question]:
-        """Yield the registrations of services that are offered."""
+        """Yield the registrations of services that living nodes offer."""
         for service in offered:
             node, address = self.kept.services[service], self.kept.addresses[service]
-            yield "registerService", node, service, address, self.kept.nodes[node].uri
+            if node in self.living:
+                yield "registerService", node, service, address, self.kept.nodes[node].uri
 
     def publisher_registrations(self) -> list[Question]:
         published = {name: topics.published for name, topics in self.living.items()}

@@ -225,6 +225,27 @@ def test_what_was_given_up_or_has_ended_stays_away_and_what_is_new_comes(graph, 
     assert "have ended are not registered again: /gone, /replaced" in caplog.text
 
 
+def test_a_node_that_was_started_again_meanwhile_is_left_alone(graph, keeper):
+    """The master ends a node when another address is registered under its name."""
+    node, other = graph.node("/node"), graph.node("/other")
+    node.publish("/words")
+    node.offer("/node/ask", SmallManager().service)
+    other.publish("/more")
+    keeper.look()
+    again = graph.node("/node")
+
+    def listed(topics):  # it ends as soon as it has answered
+        again.publish("/new")
+        return SmallNode._listed(node, topics)
+
+    node._listed = listed
+    graph.core.renew()
+    keeper.look()
+    publishers, _, services, *_ = graph.core.state()
+    assert publishers == {"/rosout": [ME], "/new": ["/node"], "/more": ["/other"]}
+    assert services == {} and graph.core.api.node("/node") == again.uri
+
+
 def test_what_the_manager_itself_has_just_offered_is_registered(graph, keeper, monkeypatch):
     """The last look was before, when the master ended while the manager was starting."""
     keeper.look()
