@@ -135,6 +135,9 @@ class Child(Peer):
             client.close()
             self._not_found(state, error)
             return
+        if self.is_node and self.name not in answer.nodelets:
+            client.close()
+            return  # it is about to offer its ports
         if client.is_stock and not self.up:
             _log.warning(
                 "nodelets in %s cannot be connected while they run: their topics are fixed; its "

@@ -177,6 +177,26 @@ def test_a_node_that_is_late_is_refused_with_its_limit(children, launcher, monke
     assert str(error.value) == why
 
 
+def test_a_node_is_up_when_it_offers_its_ports():
+    """It answers polls before: one in C++ registers three services between."""
+    with small_graph() as graph, sleeping() as process:
+        context, launcher = PeerContext(Master("/test", graph.uri)), cast(Any, FakeLauncher())
+        node = graph.nodes["/n"] = SmallManager("cpp_node")
+        launcher.launch = lambda child, command: (ProcessId.of(process.pid), None)
+        children = Children(context, launcher, "/", launcher.store)
+        try:
+            start = ("/n", ("true",), PATIENCE)
+            starting = in_thread(lambda: children.start_node(NodeletKind.CPP_NODE, *start))
+            eventually(lambda: len(node.requests) > 2 or not starting.is_alive())
+            assert starting.is_alive()
+            node.nodelets.append("/n")
+            join(starting)
+            child = children.find("/n")
+            assert child is not None and child.up and "/n" in child.presence.nodelets
+        finally:
+            children.end_all()
+
+
 def test_children_without_a_manager_are_cleaned_up_or_taken_over(children, launcher):
     with sleeping() as process:
         living = ProcessId.of(process.pid)
