@@ -245,6 +245,7 @@ worker.start()
             f"threading.excepthook = note\nthread = threading.{kind}\n"
             "thread.start()\nthread.join()\nscript_witness.thread = thread"
         )
+        eventually(lambda: hasattr(scripts.witness, "thread"))  # it is loaded when it waits
         kind, error, trace, thread = scripts.witness.found
         assert (kind, str(error), thread) == (ValueError, "no camera", scripts.witness.thread)
         assert trace is not None
